@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Alikeness: the share of samples at which the tunnels of the real and the simulated system meet."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.trials import Array
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.tunnel import Tunnel
+
+Mask = NDArray[np.bool_]
+KS = (1.0, 2.0, 3.0, 4.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Span:
+    """A run of seen samples outside the tunnel.
+
+    Attributes:
+        signal: its name; "joint" where at least one signal is outside.
+        start: s, time of the first sample outside.
+        end: s, time of the last sample outside, plus one step.
+        samples: how many.
+    """
+
+    signal: str
+    start: float
+    end: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Alikeness:
+    """Which of T samples of m signals are alike (equation 6), and the shares that follow (equation 7).
+
+    The share is the paper's SRG: 1 is alike everywhere. Samples that one side never saw are left out of it.
+
+    Attributes:
+        time: (T,) s.
+        signals: m names.
+        k_real, k_sim: factors by which the tunnels were widened.
+        alike: (T, m); False where unseen.
+        seen: (T, m) whether both sides saw the sample.
+    """
+
+    time: Array
+    signals: tuple[str, ...]
+    k_real: float
+    k_sim: float
+    alike: Mask
+    seen: Mask
+
+    def __post_init__(self) -> None:
+        for name in ("alike", "seen"):
+            mask = np.array(getattr(self, name), dtype=np.bool_)
+            if mask.shape != (len(self.time), len(self.signals)):
+                raise InputError(f"{name} must be (T, m), got {mask.shape} for {len(self.time)} samples.")
+            mask.setflags(write=False)
+            object.__setattr__(self, name, mask)
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of alike samples per signal, equation 7; NaN for a signal never seen."""
+        return {name: _share(self.alike[:, i], self.seen[:, i]) for i, name in enumerate(self.signals)}
+
+    @property
+    def joint(self) -> float:
+        """Share of samples alike in every signal (equation 4), of those seen in every signal."""
+        return _share(self.alike.all(axis=1), self.seen.all(axis=1))
+
+    @property
+    def unseen(self) -> dict[str, int]:
+        """Samples left out, per signal."""
+        return {name: int(np.sum(~self.seen[:, i])) for i, name in enumerate(self.signals)}
+
+    @property
+    def joint_unseen(self) -> int:
+        """Samples left out of the joint share."""
+        return int(np.sum(~self.seen.all(axis=1)))
+
+    def spans(self, signal: str | None = None) -> tuple[Span, ...]:
+        """Runs of time outside, in order; of all signals together without a name."""
+        if signal is None:
+            outside = self.seen.all(axis=1) & ~self.alike.all(axis=1)
+        elif signal in self.signals:
+            i = self.signals.index(signal)
+            outside = self.seen[:, i] & ~self.alike[:, i]
+        else:
+            raise InputError(unknown_name("signal", signal, self.signals))
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], outside, [False]]).astype(np.int8)))
+        step = float(self.time[1] - self.time[0]) if len(self.time) > 1 else 0.0
+        return tuple(
+            Span(signal or "joint", float(self.time[a]), float(self.time[b - 1]) + step, int(b - a))
+            for a, b in edges.reshape(-1, 2)
+        )
+
+
+def alikeness(real: Tunnel, sim: Tunnel, k_real: float = 1.0, k_sim: float = 1.0) -> Alikeness:
+    """Where the two tunnels meet, equations 4 to 6; with a simulation of width zero this is equation 13.
+
+    Raises:
+        InputError: other signals, units or time on the two sides; a factor that is negative or not finite.
+    """
+    complaints = [
+        f"{name} must be finite and at least 0, got {k}."
+        for name, k in (("k_real", k_real), ("k_sim", k_sim))
+        if not (math.isfinite(k) and k >= 0)
+    ]
+    complaints += _mismatches(real, sim)
+    if complaints:
+        raise InputError(complaints)
+    seen = ~(np.isnan(real.mean) | np.isnan(sim.mean))
+    apart = sim.mean - real.mean
+    low, high = k_real * real.lower - k_sim * sim.upper, k_real * real.upper - k_sim * sim.lower
+    # A mean of p values of magnitude M is rounded by at most (p - 1) ulp(M) / 2, and the few operations above add an
+    # ulp each. For angles of a radian and ten trials this is 4e-15 rad: nothing that a sensor could resolve.
+    ulps = real.trials + sim.trials + 4
+    magnitude = np.abs(real.mean) + np.abs(sim.mean) + np.maximum(-low, high)
+    rounding = ulps * np.finfo(np.float64).eps * magnitude
+    with np.errstate(invalid="ignore"):
+        alike = seen & (low - rounding <= apart) & (apart <= high + rounding)
+    return Alikeness(real.time, real.signals, float(k_real), float(k_sim), alike, seen)
+
+
+def alikeness_over_k(
+    real: Tunnel, sim: Tunnel, ks: Iterable[float] = KS, k_sim: float = 1.0
+) -> tuple[Alikeness, ...]:
+    """The alikeness at each real factor k, as in the paper's tables 2 and 3."""
+    return tuple(alikeness(real, sim, k, k_sim) for k in ks)
+
+
+def _mismatches(real: Tunnel, sim: Tunnel) -> list[str]:
+    complaints = []
+    if real.signals != sim.signals:
+        complaints.append(f"Both sides need the same signals; real has {real.signals}, simulation {sim.signals}.")
+    elif real.units != sim.units:
+        complaints.append(f"Both sides need the same units; real has {real.units}, simulation {sim.units}.")
+    if len(real.time) != len(sim.time) or not np.allclose(real.time, sim.time, rtol=0, atol=1e-6):
+        complaints.append(
+            f"Both sides need the same time grid; real has {_grid(real.time)}, simulation {_grid(sim.time)}."
+        )
+    return complaints
+
+
+def _grid(time: Array) -> str:
+    return f"{len(time)} samples from {time[0]:g} to {time[-1]:g} s"
+
+
+def _share(alike: Mask, seen: Mask) -> float:
+    count = int(seen.sum())
+    return float(np.sum(alike & seen)) / count if count else math.nan
