@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MJCF of the labyrinth, made from its geometry.
+
+World: x to the right, y away from the player, z up, the gimbal's centre at height PIVOT_HEIGHT. The outer frame turns about
+x (`board_x`), the inner board in it about y (`board_y`). Positive `board_y` makes the ball roll towards +x, positive
+`board_x` towards -y. Servo and board are joined by the tendons `belt_x`, `belt_y`: springs on ratio * motor - board.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+
+import numpy as np
+
+from labyrinth_sim.mjcf.floor import Tile, floor_tiles
+from labyrinth_sim.mjcf.geometry import Layout
+
+TIMESTEP = 0.002  # s; see docs/decisions/labyrinth_mjcf.md
+PIVOT_HEIGHT = 0.08  # m, estimate
+FLOOR_THICKNESS = 0.005  # m, estimate
+RIM_WIDTH, RIM_HEIGHT = 0.008, 0.015  # m, estimate
+FRAME_GAP, FRAME_WIDTH, FRAME_HEIGHT = 0.006, 0.010, 0.020  # m, estimate
+BOX_GAP, BOX_WALL = 0.012, 0.010  # m, estimate
+
+BOARD_MASS = 0.30  # kg, estimate: 5 mm plywood at 600 kg/m^3, walls and rim
+FRAME_MASS = 0.15  # kg, estimate
+HORN_MASS = 0.02  # kg, estimate
+ARMATURE = 0.01  # kg m^2 behind the gear, estimate; fitted figures of such servos lie between 0.002 and 0.045
+STALL_TORQUE = 2.8  # N m, DX-117 at 12 V (data sheet: 28.9 kgf cm)
+
+BELT_RATIO = 1.0  # board angle per motor angle: the paper's motor angles are board angles
+BELT_STIFFNESS = 100.0  # N m/rad: 1.6 deg at stall torque, hardly more than rigid; resonance at 45 Hz
+BELT_DAMPING = 0.3  # N m s/rad
+
+# Ball contact, the same with everything it touches. Impedance and time constant keep the ball within 0.01 mm of the floor.
+FRICTION = "0.6 0.005 0.0001"  # steel on painted wood, estimate; only the first acts (condim 3)
+SOLREF, SOLIMP = "0.004 1", "0.95 0.99 0.0001"
+
+AXES = {"x": "1 0 0", "y": "0 1 0"}
+
+
+def labyrinth_xml(layout: Layout, plain: bool = False) -> str:
+    """MJCF text of one layout.
+
+    Args:
+        layout: the geometry.
+        plain: leave out walls, holes and ball, with the same inertia: for questions about the servos only.
+    """
+    root = ET.Element("mujoco", model=f"labyrinth_{'plain' if plain else layout.name}")
+    root.append(ET.Comment(" Made by labyrinth_sim.mjcf from config/labyrinth_geometry.yaml; do not edit. SI units. "))
+    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
+    option = ET.SubElement(root, "option", timestep=_n(TIMESTEP), integrator="implicitfast")
+    if not plain:
+        option.set("cone", "elliptic")
+        option.set("impratio", "10")
+    _looks(root)
+    world = ET.SubElement(root, "worldbody")
+    _surroundings(world, layout)
+    frame = _frame(world, layout)
+    _board(frame, layout, plain)
+    _motors(world, layout)
+    if not plain:
+        _ball(world, layout)
+    _drive_train(root)
+    _sensors(root, plain)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _looks(root: ET.Element) -> None:
+    visual = ET.SubElement(root, "visual")
+    ET.SubElement(visual, "headlight", ambient="0.25 0.25 0.25", diffuse="0.25 0.25 0.25", specular="0.1 0.1 0.1")
+    ET.SubElement(visual, "quality", shadowsize="4096", offsamples="8")
+    ET.SubElement(visual, "global", offwidth="1920", offheight="1280")
+    ET.SubElement(visual, "map", znear="0.02", zfar="20")
+    default = ET.SubElement(root, "default")
+    # Only the ball collides (contype), and with everything that carries the ball's bit (conaffinity).
+    ET.SubElement(default, "geom", type="box", contype="0", conaffinity="1", condim="3")
+    asset = ET.SubElement(root, "asset")
+    sky = {"type": "skybox", "builtin": "gradient", "rgb1": "0.93 0.95 0.98", "rgb2": "0.70 0.76 0.84"}
+    ET.SubElement(asset, "texture", sky, width="256", height="256")
+    for name, rgba, specular, shininess in (
+        ("table", "0.46 0.50 0.55 1", "0.1", "0.1"),
+        ("case", "0.55 0.33 0.18 1", "0.3", "0.4"),
+        ("frame", "0.66 0.43 0.25 1", "0.3", "0.4"),
+        ("floor", "0.93 0.84 0.66 1", "0.2", "0.2"),
+        ("wall", "0.72 0.47 0.26 1", "0.3", "0.4"),
+        ("steel", "0.80 0.82 0.85 1", "1", "0.9"),
+        ("servo", "0.13 0.14 0.16 1", "0.5", "0.5"),
+    ):
+        ET.SubElement(asset, "material", name=name, rgba=rgba, specular=specular, shininess=shininess)
+
+
+def _surroundings(world: ET.Element, layout: Layout) -> None:
+    lights = (("-0.35 -0.35 1.1", "0.35 0.4 -1", "0.65", "true"), ("0.6 0.1 0.9", "-0.6 -0.1 -0.9", "0.25", "false"))
+    for pos, direction, diffuse, shadow in lights:
+        spot = {"pos": pos, "dir": direction, "diffuse": " ".join([diffuse] * 3), "castshadow": shadow}
+        ET.SubElement(world, "light", spot, cutoff="60", specular="0.3 0.3 0.3")
+    ET.SubElement(world, "camera", name="overview", pos="0 -0.40 0.60", xyaxes="1 0 0 0 0.79 0.61", fovy="38")
+    ET.SubElement(world, "camera", name="above", pos=f"0 0 {_n(PIVOT_HEIGHT + 1.0)}", fovy="22")
+    # Below the board the table catches lost balls, the case keeps them together.
+    ET.SubElement(world, "geom", name="table", type="plane", size="2 2 0.1", material="table")
+    inner = layout.board_size / 2 + RIM_WIDTH + FRAME_GAP + FRAME_WIDTH + BOX_GAP
+    _ring(world, "case", inner, BOX_WALL, 0.0, PIVOT_HEIGHT + 0.012, "case")
+
+
+def _frame(world: ET.Element, layout: Layout) -> ET.Element:
+    frame = ET.SubElement(world, "body", name="frame", pos=f"0 0 {_n(PIVOT_HEIGHT)}")
+    inner = layout.board_size / 2 + RIM_WIDTH + FRAME_GAP
+    width, depth = 2 * (inner + FRAME_WIDTH / 2)
+    # A thin rectangular hoop of even line density, balanced on its axis.
+    line = FRAME_MASS / (2 * (width + depth))
+    about_x = line * (width * depth**2 / 2 + depth**3 / 6)
+    about_y = line * (depth * width**2 / 2 + width**3 / 6)
+    _inertial(frame, FRAME_MASS, (about_x, about_y, about_x + about_y))
+    _hinge(frame, "board_x", layout)
+    _ring(frame, "frame", inner, FRAME_WIDTH, -FRAME_HEIGHT + 0.01, 0.01, "frame")
+    return frame
+
+
+def _board(frame: ET.Element, layout: Layout, plain: bool) -> None:
+    board = ET.SubElement(frame, "body", name="board")
+    width, depth = layout.board_size + 2 * RIM_WIDTH
+    plate = [BOARD_MASS * side**2 / 12 for side in (depth, width)]
+    _inertial(board, BOARD_MASS, (plate[0], plate[1], plate[0] + plate[1]))
+    _hinge(board, "board_y", layout)
+    half = layout.board_size / 2
+    ET.SubElement(board, "site", name="board_origin", pos=_v([*-half, 0]), size="0.002", group="4")
+    holes = np.empty((0, 2)) if plain else layout.holes - half
+    tiles = floor_tiles(-half - RIM_WIDTH, half + RIM_WIDTH, holes, layout.hole_radius)
+    for number, tile in enumerate(tiles, 1):
+        _tile(board, f"floor_{number}", tile)
+    _ring(board, "rim", half, RIM_WIDTH, 0.0, RIM_HEIGHT, "wall")
+    if plain:
+        return
+    for number, (x0, x1, y0, y1) in enumerate(layout.walls(), 1):
+        size = ((x1 - x0) / 2, (y1 - y0) / 2, layout.wall_height / 2)
+        pos = ((x0 + x1) / 2 - half[0], (y0 + y1) / 2 - half[1], layout.wall_height / 2)
+        ET.SubElement(board, "geom", name=f"wall_{number}", pos=_v(pos), size=_v(size), material="wall")
+    for number, (x, y) in enumerate(holes, 1):
+        size = {"size": _n(layout.hole_radius), "rgba": "0 0 0 0", "group": "4"}
+        ET.SubElement(board, "site", {"name": f"hole_{number}", "pos": _v([x, y, 0])} | size)
+
+
+def _motors(world: ET.Element, layout: Layout) -> None:
+    reach = layout.board_size / 2 + RIM_WIDTH + FRAME_GAP + FRAME_WIDTH + BOX_GAP + BOX_WALL
+    places = {"x": (reach[0] + 0.004, 0.0, PIVOT_HEIGHT), "y": (0.0, -reach[1] - 0.004, PIVOT_HEIGHT)}
+    for axis, place in places.items():
+        motor = ET.SubElement(world, "body", name=f"motor_{axis}", pos=_v(place))
+        _inertial(motor, HORN_MASS, (1e-6, 1e-6, 1e-6))
+        ET.SubElement(motor, "joint", name=f"motor_{axis}", axis=AXES[axis], armature=_n(ARMATURE))
+        ends = "-0.004 0 0 0.004 0 0" if axis == "x" else "0 -0.004 0 0 0.004 0"
+        looks = {"contype": "0", "conaffinity": "0", "material": "servo"}
+        ET.SubElement(motor, "geom", looks, name=f"horn_{axis}", type="cylinder", fromto=ends, size="0.014")
+
+
+def _ball(world: ET.Element, layout: Layout) -> None:
+    start = layout.start - layout.board_size / 2
+    ball = ET.SubElement(world, "body", name="ball", pos=_v([*start, PIVOT_HEIGHT + layout.ball_radius]))
+    ET.SubElement(ball, "freejoint", name="ball")
+    contact = {"contype": "1", "conaffinity": "0", "priority": "1", "friction": FRICTION}
+    contact |= {"solref": SOLREF, "solimp": SOLIMP}
+    size = {"type": "sphere", "size": _n(layout.ball_radius), "mass": _n(layout.ball_mass), "material": "steel"}
+    ET.SubElement(ball, "geom", {"name": "ball"} | size | contact)
+
+
+def _drive_train(root: ET.Element) -> None:
+    tendons = ET.SubElement(root, "tendon")
+    actuators = ET.SubElement(root, "actuator")
+    for axis in AXES:
+        spring = {"stiffness": _n(BELT_STIFFNESS), "damping": _n(BELT_DAMPING), "springlength": "0 0"}
+        belt = ET.SubElement(tendons, "fixed", {"name": f"belt_{axis}"} | spring)
+        ET.SubElement(belt, "joint", joint=f"motor_{axis}", coef=_n(BELT_RATIO))
+        ET.SubElement(belt, "joint", joint=f"board_{axis}", coef="-1")
+        limit = f"{-STALL_TORQUE} {STALL_TORQUE}"
+        name = f"motor_{axis}"
+        ET.SubElement(actuators, "motor", name=name, joint=name, ctrlrange=limit, forcerange=limit)
+
+
+def _sensors(root: ET.Element, plain: bool) -> None:
+    sensors = ET.SubElement(root, "sensor")
+    for kind, suffix in (("jointpos", ""), ("jointvel", "_velocity")):
+        for joint in ("motor_x", "motor_y", "board_x", "board_y"):
+            ET.SubElement(sensors, kind, name=joint + suffix, joint=joint)
+    for joint in ("motor_x", "motor_y"):
+        ET.SubElement(sensors, "jointactuatorfrc", name=f"{joint}_effort", joint=joint)
+    if not plain:
+        reference = {"reftype": "site", "refname": "board_origin"}
+        ET.SubElement(sensors, "framepos", {"name": "ball", "objtype": "body", "objname": "ball"} | reference)
+
+
+def _tile(parent: ET.Element, name: str, tile: Tile) -> None:
+    geom = {
+        "name": name,
+        "pos": _v([tile.x, tile.y, -FLOOR_THICKNESS / 2]),
+        "size": _v([tile.half_x, tile.half_y, FLOOR_THICKNESS / 2]),
+        "material": "floor",
+    }
+    if tile.angle:
+        geom["euler"] = _v([0, 0, tile.angle])
+    ET.SubElement(parent, "geom", geom)
+
+
+def _ring(
+    parent: ET.Element, name: str, inner: np.ndarray, width: float, bottom: float, top: float, material: str
+) -> None:
+    """Four boxes around a rectangle of half sizes `inner` (2,) m."""
+    z, half_z = (bottom + top) / 2, (top - bottom) / 2
+    x, y = inner + width / 2
+    for side, pos, size in (
+        ("left", (-x, 0.0, z), (width / 2, inner[1], half_z)),
+        ("right", (x, 0.0, z), (width / 2, inner[1], half_z)),
+        ("front", (0.0, -y, z), (inner[0] + width, width / 2, half_z)),
+        ("back", (0.0, y, z), (inner[0] + width, width / 2, half_z)),
+    ):
+        ET.SubElement(parent, "geom", name=f"{name}_{side}", pos=_v(pos), size=_v(size), material=material)
+
+
+def _hinge(body: ET.Element, name: str, layout: Layout) -> None:
+    stop = float(np.radians(layout.tilt_limit_deg))
+    ET.SubElement(body, "joint", name=name, axis=AXES[name[-1]], range=_v([-stop, stop]))
+
+
+def _inertial(body: ET.Element, mass: float, diagonal: Iterable[float]) -> None:
+    ET.SubElement(body, "inertial", pos="0 0 0", mass=_n(mass), diaginertia=_v(diagonal))
+
+
+def _n(value: float) -> str:
+    return f"{value:.7g}"
+
+
+def _v(values: Iterable[float]) -> str:
+    return " ".join(_n(round(float(value), 9) + 0.0) for value in values)
