@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+# A bare machine needs Python 3.11 or newer, gcc, g++, cmake and make; everything else goes into .venv/, build/ and install/.
+#
+# With a ROS 2 Jazzy or Kilted sourced, its own rclpy, colcon and ros2 are used and .venv/ holds the libraries only.
+# `colcon build && source install/setup.bash` is then enough too, if the libraries of requirements.txt are importable.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+# The first Python on PATH that is new enough, so that an older python3 does not stop the set-up.
+PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; do \
+    if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$p; exit; fi; done; echo python3)
+RUN := source ./env.bash &&
+LINTED := src test tools $(wildcard benchmarks)
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PYTHONUNBUFFERED := 1
+
+ifdef ROS_DISTRO
+  VENV_OPTIONS := --system-site-packages
+  REQUIREMENTS := requirements.txt
+  COLCON := colcon
+else
+  VENV_OPTIONS :=
+  REQUIREMENTS := requirements.txt requirements-ros.txt
+  COLCON := python -m colcon
+endif
+
+# Python files are linked, not copied: only what decides *which* files are installed asks for a new build.
+MESSAGES := $(wildcard src/labyrinth_msgs/*/*.msg src/labyrinth_msgs/*/*.srv src/labyrinth_msgs/*/*.action)
+MANIFESTS := $(wildcard src/*/package.xml src/*/setup.py src/*/setup.cfg src/*/CMakeLists.txt src/*/launch/*.py) colcon.meta
+DATA := $(shell find config 2>/dev/null)
+
+.PHONY: help setup demo test lint format clean
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo "After make setup: source env.bash, then ros2 run labyrinth_sim sim_node and the like."
+
+setup: install/.built ## install libraries and ROS 2 into .venv and build the workspace; nothing to do the second time
+
+demo: setup ## play, record and compare the emulated rig and its simulation; ends with a report
+	@$(RUN) ros2 run eps_tunnel_analysis demo $(if $(EFFECT),--effect '$(EFFECT)') $(DEMO_OPTIONS)
+
+test: setup ## run every test; PYTEST='-k tunnel -x' passes options on
+	@$(RUN) python -m pytest $(PYTEST)
+
+lint: setup ## check style, formatting and types
+	@$(RUN) ruff check $(LINTED)
+	@$(RUN) ruff format --check $(LINTED)
+	@$(RUN) mypy
+
+format: setup ## put the sources into the house format
+	@$(RUN) ruff check --fix $(LINTED); ruff format $(LINTED)
+
+ifneq ($(wildcard benchmarks/paper.py),)
+.PHONY: paper
+paper: setup ## repeat the paper's tables and figures on the emulated testbed
+	@$(RUN) python benchmarks/paper.py
+endif
+
+clean: ## remove what setup made; recordings and reports in out/ stay
+	rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find src test tools -name __pycache__ -prune -exec rm -rf {} +
+
+.venv/.installed: $(REQUIREMENTS) tools/check_machine.py
+	@$(PYTHON) tools/check_machine.py
+	@echo "setup 1/2: libraries into .venv"
+	@if [ ! -x .venv/bin/python ]; then $(PYTHON) -m venv $(VENV_OPTIONS) .venv; fi
+	@touch .venv/COLCON_IGNORE
+	@env -u LD_LIBRARY_PATH -u PYTHONPATH -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
+	    .venv/bin/python -m pip install --no-input $(addprefix -r ,$(REQUIREMENTS))
+	@touch $@
+
+install/.built: .venv/.installed $(MESSAGES) $(MANIFESTS) $(DATA)
+	@echo "setup 2/2: workspace into install"
+	@source ./env.bash underlay && $(COLCON) build --symlink-install --base-paths src \
+	    --event-handlers console_direct- console_cohesion- desktop_notification- \
+	    --cmake-args -DPython3_EXECUTABLE="$$(command -v python)"
+	@touch $@
