@@ -6,6 +6,7 @@ Newey and West (Econometrica 55, 1987) is used, the scores weighted by Bartlett'
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from labyrinth_sim.trials import Array
@@ -76,7 +77,7 @@ def autocorrelation_length(residuals: Array, blocks: Array, most: int = 200) -> 
 def _parts(blocks: Array) -> list[slice]:
     edges = np.flatnonzero(np.diff(blocks)) + 1
     ends = [0, *edges.tolist(), len(blocks)]
-    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(ends)]
 
 
 def _long_run(scores: Array, blocks: Array, lag: int) -> Array:
