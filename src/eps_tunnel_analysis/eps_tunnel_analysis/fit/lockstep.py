@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many small least-squares problems descended side by side, so that each round is one batch of roll-outs.
+
+Levenberg-Marquardt with a few dampings tried at once, in the box [0, 1]. A round costs each problem one roll-out per free
+value for the Jacobian and one per damping for the step; the roll-outs of all problems go to the simulator together.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from labyrinth_sim.trials import Array
+from numpy.typing import NDArray
+
+DAMPINGS = np.array([0.1, 1.0, 10.0])
+TRUST = 1e-12
+
+#: (n, K) normalised values and (n,) the problem each row belongs to -> (n, R) residuals, NaN rows where diverged.
+BatchResiduals = Callable[[Array, NDArray[np.int64]], Array]
+
+
+@dataclass(frozen=True)
+class Descent:
+    """B problems after their descent.
+
+    Attributes:
+        z: (B, K) normalised values.
+        cost: (B,) mean square of the residuals; inf where nothing finite was met.
+        residuals: (B, R) at z.
+        converged: (B,) the last round gained less than the tolerance.
+        evaluations: roll-outs in all.
+    """
+
+    z: Array
+    cost: Array
+    residuals: Array
+    converged: NDArray[np.bool_]
+    evaluations: int
+
+
+def descend(
+    residuals: BatchResiduals,
+    starts: Array,
+    free: NDArray[np.bool_],
+    rounds: int = 8,
+    difference: float | Array = 1e-3,
+    tolerance: float = 1e-4,
+    hopeless: Callable[[Array], NDArray[np.bool_]] | None = None,
+) -> Descent:
+    """Descend every problem from its start.
+
+    Args:
+        residuals: the simulator.
+        starts: (B, K) in [0, 1].
+        free: (B, K) which values each problem may move.
+        rounds: at most so many.
+        difference: step of the finite differences, one for all or (K,), normalised.
+        tolerance: relative gain below which a problem rests.
+        hopeless: told the costs (B,) after each round, says whom to stop early.
+    """
+    z = np.clip(np.array(starts, dtype=np.float64), 0.0, 1.0)
+    count, size = z.shape
+    steps = np.broadcast_to(np.asarray(difference, dtype=np.float64), (size,))
+    everyone = np.arange(count)
+    at = residuals(z, everyone)
+    cost = _cost(at)
+    evaluations = count
+    damping = np.full(count, 1e-2)
+    rest = ~np.isfinite(cost) | ~free.any(axis=1) | (cost == 0.0)
+    converged = ~free.any(axis=1) | (cost == 0.0)
+    for _ in range(rounds):
+        active = everyone[~rest]
+        if len(active) == 0:
+            break
+        jacobians, used = _jacobians(residuals, z, at, active, free, steps)
+        evaluations += used
+        tried = np.repeat(active, len(DAMPINGS))
+        factors = np.tile(DAMPINGS, len(active)) * damping[tried]
+        proposals = np.array([_step(z[b], at[b], *jacobians[b], f) for b, f in zip(tried, factors, strict=True)])
+        answers = residuals(proposals, tried)
+        evaluations += len(tried)
+        costs = _cost(answers).reshape(len(active), -1)
+        for row, b in enumerate(active):
+            winner = int(np.argmin(costs[row]))
+            if costs[row, winner] >= cost[b]:
+                damping[b] *= 30.0
+                if damping[b] > 1e6:
+                    rest[b] = converged[b] = True
+                continue
+            gain = 1.0 - costs[row, winner] / cost[b]
+            pick = row * len(DAMPINGS) + winner
+            z[b], at[b], cost[b] = proposals[pick], answers[pick], costs[row, winner]
+            damping[b] = np.clip(factors[pick] / 3.0, 1e-9, 1e6)
+            if gain < tolerance:
+                rest[b] = converged[b] = True
+        if hopeless is not None:
+            rest |= hopeless(cost)
+    return Descent(z, cost, at, converged, evaluations)
+
+
+def _cost(residuals: Array) -> Array:
+    with np.errstate(over="ignore"):
+        mean = np.mean(residuals**2, axis=1)
+    return np.where(np.isfinite(mean), mean, np.inf)
+
+
+def _jacobians(
+    residuals: BatchResiduals,
+    z: Array,
+    at: Array,
+    active: NDArray[np.int64],
+    free: NDArray[np.bool_],
+    steps: Array,
+) -> tuple[dict[int, tuple[Array, NDArray[np.int64]]], int]:
+    """For each active problem its Jacobian (R, k) and the k columns of z it belongs to."""
+    columns = {int(b): np.flatnonzero(free[b]) for b in active}
+    owners = np.concatenate([np.full(len(c), b) for b, c in columns.items()])
+    moved = z[owners]
+    which = np.concatenate(list(columns.values()))
+    signed = np.where(moved[np.arange(len(which)), which] + steps[which] <= 1.0, steps[which], -steps[which])
+    moved[np.arange(len(which)), which] += signed
+    answers = residuals(moved, owners)
+    slopes = np.nan_to_num((answers - at[owners]) / signed[:, None])
+    found = {}
+    for b, c in columns.items():
+        found[b] = (slopes[owners == b].T, c)
+    return found, len(owners)
+
+
+def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], damping: float) -> Array:
+    """One damped Gauss-Newton step, kept in the box; values pressed against a bound stay there for this step."""
+    gradient = jacobian.T @ at
+    here = z[columns]
+    pressed = ((here <= 0.0) & (gradient > 0.0)) | ((here >= 1.0) & (gradient < 0.0))
+    moving = np.flatnonzero(~pressed)
+    target = z.copy()
+    if len(moving) == 0:
+        return target
+    j = jacobian[:, moving]
+    normal = j.T @ j
+    scale = np.diag(normal).copy()
+    scale += TRUST * max(scale.max(), np.finfo(float).tiny)
+    step = np.linalg.lstsq(normal + damping * np.diag(scale), -gradient[moving], rcond=None)[0]
+    target[columns[moving]] = np.clip(here[moving] + step, 0.0, 1.0)
+    return target

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of the side-by-side descent."""
+
+import numpy as np
+from eps_tunnel_analysis.fit.lockstep import descend
+
+TIME = np.linspace(0.0, 2.0, 300)
+
+
+def response(z):
+    """(n, 3) -> (n, T): amplitude, decay and an offset."""
+    return z[:, :1] * np.exp(-4.0 * z[:, 1:2] * TIME) + 0.2 * z[:, 2:3]
+
+
+TRUTH = np.array([0.7, 0.3, 0.5])
+MEASURED = response(TRUTH[None])[0]
+
+
+def residuals(z, owners):
+    return response(z) - MEASURED
+
+
+def test_every_problem_reaches_the_truth_when_all_is_free() -> None:
+    starts = np.random.default_rng(0).random((5, 3))
+    found = descend(residuals, starts, np.ones((5, 3), bool), rounds=30, tolerance=1e-12)
+    assert np.allclose(found.z, TRUTH, atol=1e-4)
+
+
+def test_what_is_not_free_stays() -> None:
+    starts = np.full((2, 3), 0.4)
+    free = np.array([[True, True, False], [True, False, False]])
+    found = descend(residuals, starts, free, rounds=20)
+    assert (found.z[~free] == 0.4).all()
+    assert found.cost[0] < found.cost[1]
+
+
+def test_a_problem_does_not_depend_on_its_neighbours() -> None:
+    starts = np.random.default_rng(1).random((4, 3))
+    free = np.ones((4, 3), bool)
+    together = descend(residuals, starts, free)
+    for b in range(4):
+        alone = descend(residuals, starts[b : b + 1], free[:1])
+        assert np.array_equal(alone.z[0], together.z[b])
+
+
+def test_bounds_hold_and_a_truth_beyond_them_ends_at_the_bound() -> None:
+    outside = response(np.array([[1.3, 0.3, 0.5]]))[0]
+    found = descend(lambda z, o: response(z) - outside, np.full((1, 3), 0.5), np.ones((1, 3), bool), rounds=30)
+    assert (found.z >= 0).all() and (found.z <= 1).all()
+    assert found.z[0, 0] == 1.0
+
+
+def test_a_diverged_neighbourhood_does_not_poison_the_rest() -> None:
+    def partly(z, owners):
+        answer = residuals(z, owners)
+        answer[owners == 1] = np.nan
+        return answer
+
+    found = descend(partly, np.full((2, 3), 0.4), np.ones((2, 3), bool), rounds=30, tolerance=1e-12)
+    assert np.allclose(found.z[0], TRUTH, atol=1e-4)
+    assert np.isinf(found.cost[1]) and not found.converged[1]
+
+
+def test_hopeless_problems_are_stopped_early() -> None:
+    starts = np.vstack([np.full(3, 0.6), np.full(3, 0.1)])
+    asked = []
+
+    def counted(z, owners):
+        asked.append(set(owners.tolist()))
+        return residuals(z, owners)
+
+    descend(counted, starts, np.ones((2, 3), bool), rounds=10, hopeless=lambda cost: np.array([False, True]))
+    assert [1 in owners for owners in asked[:3]] == [True] * 3  # the start and one round of two batches
+    assert len(asked) > 3 and all(1 not in owners for owners in asked[3:])
