@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: written so that a crash costs a second, read as they are, brought onto one time grid."""
+
+from eps_tunnel_analysis.recording.channel_map import (
+    ChannelMap,
+    Source,
+    channel_map,
+    guessed_map,
+)
+from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.recording.recording import (
+    Gap,
+    Recording,
+    StampedTopic,
+    TimeSource,
+    TrialMark,
+)
+from eps_tunnel_analysis.recording.trials_from_bags import (
+    ResampleReport,
+    TrialsResult,
+    read_trials,
+    to_trials,
+)
+
+__all__ = [
+    "ChannelMap",
+    "Gap",
+    "Recording",
+    "ResampleReport",
+    "Source",
+    "StampedTopic",
+    "TimeSource",
+    "TrialMark",
+    "TrialsResult",
+    "channel_map",
+    "guessed_map",
+    "read",
+    "read_trials",
+    "to_trials",
+]

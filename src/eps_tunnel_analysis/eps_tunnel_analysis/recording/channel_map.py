@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ChannelMap: which column of which topic is which signal or command."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.rig import Rig
+
+from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE
+from eps_tunnel_analysis.recording.recording import Recording
+
+FIELDS = {"position": ("position", ""), "velocity": ("velocity", "_velocity"), "torque": ("effort", "_effort")}
+UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
+
+
+@dataclass(frozen=True)
+class Source:
+    """One signal or command channel: `name`, found in `column` of `topic`, in `unit` (SI)."""
+
+    name: str
+    topic: str
+    type: str
+    column: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """The measured signals and the command channels of one side (`/real` or `/sim`)."""
+
+    signals: tuple[Source, ...]
+    commands: tuple[Source, ...]
+
+    def select(self, names: Iterable[str]) -> "ChannelMap":
+        """The same with these signals only. Raises InputError that lists the valid names."""
+        known = {source.name: source for source in self.signals}
+        names = tuple(names)
+        complaints = [unknown_name("signal", name, known) for name in names if name not in known]
+        if complaints:
+            raise InputError(complaints)
+        return ChannelMap(tuple(known[name] for name in names), self.commands)
+
+
+def channel_map(rig: Rig, namespace: str) -> ChannelMap:
+    """What a rig says, under `/real` or `/sim`.
+
+    A signal is found by its own name: `motor_x` is the position of joint `motor_x` in the rig's topic of joint states,
+    `motor_x_velocity` its velocity, `motor_x_effort` its effort.
+    """
+
+    def topic(key: str) -> str:
+        return "/".join(("", *f"{namespace}/{rig.topics[key]}".strip("/").split("/")))
+
+    signals = []
+    for measured in rig.measured:
+        column, suffix = FIELDS[measured.quantity]
+        joint = measured.signal.removesuffix(suffix)
+        signals.append(Source(measured.signal, topic("states"), JOINT_STATE, f"{joint}.{column}", measured.unit))
+    if rig.ball:
+        signals += [Source(f"ball_{axis}", topic("ball"), BALL_STATE, axis, "m") for axis in "xy"]
+    commands = [
+        Source(name, topic("commands"), JOINT_STATE, f"{name}.position", "rad") for name in rig.command_channels
+    ]
+    return ChannelMap(tuple(signals), tuple(commands))
+
+
+def guessed_map(recording: Recording, namespace: str | None = None) -> ChannelMap:
+    """What a bag itself offers: every joint's position, velocity and effort, every command, and the ball.
+
+    Raises:
+        InputError: nothing is measured, or a name is in two topics.
+    """
+    prefix = namespace_of(recording) if namespace is None else namespace
+    signals: list[Source] = []
+    commands: list[Source] = []
+    for name, topic in recording.topics.items():
+        if not name.startswith(prefix):
+            continue
+        if topic.type == JOINT_STATE and name.endswith("commands"):
+            commands += [Source(j, name, topic.type, f"{j}.position", "rad") for j in topic.joints]
+        elif topic.type == JOINT_STATE:
+            for column, values in topic.columns.items():
+                if np.isnan(values).all():  # how some drivers say that they do not measure it
+                    continue
+                joint, _, quantity = column.rpartition(".")
+                signal = joint if quantity == "position" else f"{joint}_{quantity}"
+                signals.append(Source(signal, name, topic.type, column, UNITS[quantity]))
+        elif topic.type == BALL_STATE:
+            signals += [Source(f"ball_{axis}", name, topic.type, axis, "m") for axis in "xy"]
+    names = [source.name for source in signals]
+    for name in {name for name in names if names.count(name) > 1}:
+        topics = ", ".join(sorted({source.topic for source in signals if source.name == name}))
+        raise InputError(
+            f"{recording.path}: signal '{name}' is in several topics ({topics}). Name the rig, or one side."
+        )
+    if not signals:
+        raise InputError(
+            f"{recording.path}: no measured signals. Expected joint states ({JOINT_STATE}) or a ball ({BALL_STATE}); "
+            f"it holds {', '.join(f'{n} ({t.type})' for n, t in recording.topics.items()) or 'neither'}."
+        )
+    return ChannelMap(tuple(signals), tuple(commands))
+
+
+def namespace_of(recording: Recording) -> str:
+    """`/real` for a bag that holds `/real/joint_states`; the first one where a bag holds several."""
+    for name in (*recording.topics, *recording.others):
+        for ending in ("/joint_states", "/joint_commands", "/ball"):
+            if name.endswith(ending):
+                return name.removesuffix(ending)
+    return ""

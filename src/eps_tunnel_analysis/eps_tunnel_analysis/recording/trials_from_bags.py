@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings to Trials: every run of one command sequence on one even time grid."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.rig import Rig
+from labyrinth_sim.trials import Array, Trials
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.recording.channel_map import (
+    ChannelMap,
+    Source,
+    channel_map,
+    guessed_map,
+    namespace_of,
+)
+from eps_tunnel_analysis.recording.message_types import BALL_STATE
+from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.recording.recording import Recording, StampedTopic, TimeSource
+from eps_tunnel_analysis.recording.resample import hold, interpolate
+from eps_tunnel_analysis.recording.windows import (
+    Window,
+    check_same_sequence,
+    cut,
+    windows,
+)
+
+RATE = 100.0
+"""Hz"""
+MAX_GAP = 0.1
+"""s; longest span between two measurements that is bridged by a straight line"""
+MAX_HOLD = 0.5
+"""s; longest pause in a stream of commands through which the last target is held"""
+COMMANDS_ALIKE = 0.05
+"""of the commands' range; trials whose commands are further apart half of the time play different sequences"""
+
+
+@dataclass(frozen=True)
+class ResampleReport:
+    """What was lost between the bags and the trials.
+
+    Attributes:
+        signals: m names.
+        missing: (p, m) samples that are NaN, per trial and signal.
+        samples: T, per trial.
+        gaps: (trial, signal, start s, length s) of every span that was too long to bridge.
+        notes: one sentence each on what is odd but usable.
+    """
+
+    signals: tuple[str, ...]
+    missing: NDArray[np.int64]
+    samples: int
+    gaps: tuple[tuple[int, str, float, float], ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TrialsResult:
+    """Trials, what was lost on the way, and which sequence they played (empty where the bags do not tell)."""
+
+    trials: Trials
+    report: ResampleReport
+    sequence: str
+    sequence_hash: str
+
+
+def read_trials(
+    paths: Sequence[Path | str],
+    rig: Rig | ChannelMap | None = None,
+    *,
+    time_source: TimeSource = "header",
+    **options: object,
+) -> TrialsResult:
+    """`read` each bag, then `to_trials`; the options are those of `to_trials`. All bad bags are told at once."""
+    if not paths:
+        raise InputError("No bags named; expected at least one rosbag2 folder, .mcap or .db3 file.")
+    recordings: list[Recording] = []
+    complaints: list[str] = []
+    for path in paths:
+        try:
+            recordings.append(read(path, time_source))
+        except InputError as error:
+            complaints += error.complaints
+    if complaints:
+        raise InputError(complaints)
+    return to_trials(recordings, rig, **options)  # type: ignore[arg-type]
+
+
+def to_trials(
+    recordings: Sequence[Recording],
+    rig: Rig | ChannelMap | None = None,
+    *,
+    signals: Sequence[str] | None = None,
+    namespace: str | None = None,
+    rate: float = RATE,
+    max_gap: float = MAX_GAP,
+    max_hold: float | None = MAX_HOLD,
+    cut_to_shortest: bool = False,
+) -> TrialsResult:
+    """Several bags as trials, or the marked trials of each bag, on one grid that starts with each trial.
+
+    Args:
+        recordings: the bags of one side. A bag with marks on `NS/trial` gives one trial per start that was played to
+            its end; a bag without gives one, from its first command to its last measurement.
+        rig: what is measured and commanded, and on which topics; None takes all that the bags offer.
+        signals: names to take, in this order; all of them by default.
+        namespace: `/real` or `/sim`; found in the bag by default.
+        rate: Hz of the grid.
+        max_gap: s; measurements further apart than this are not bridged, the samples between them are NaN and counted.
+        max_hold: s; see `resample.hold`.
+        cut_to_shortest: cuts trials of different length instead of refusing them.
+
+    Raises:
+        InputError: all complaints at once: missing topics, joints or signals, NaN or infinite values, trials of
+            different length or sequence.
+    """
+    if not recordings:
+        raise InputError("No recordings; expected at least one.")
+    _check_positive(rate=rate, max_gap=max_gap, max_hold=max_hold)
+    complaints: list[str] = []
+    maps: list[ChannelMap] = []
+    spans: list[tuple[Recording, ChannelMap, Window]] = []
+    notes: list[str] = [note for recording in recordings for note in recording.notes]
+    for recording in recordings:
+        try:
+            channels = _channels(recording, rig, namespace)
+            channels = channels.select(signals) if signals is not None else channels
+            _check(recording, channels)
+            maps.append(channels)
+            spans += [(recording, channels, window) for window in windows(recording, channels, notes)]
+        except InputError as error:
+            complaints += error.complaints
+    if complaints:
+        raise InputError(complaints)
+    _check_same_channels(recordings, maps)
+    found = [window for _, _, window in spans]
+    check_same_sequence(found)
+    samples = cut(
+        [window.seconds for window in found], [window.label for window in found], rate, cut_to_shortest, notes
+    )
+    time = np.arange(samples) / rate
+    ticks = np.round(time * 1e9).astype(np.int64)
+    values = np.stack([_values(r, c, window.start + ticks, max_gap) for r, c, window in spans])
+    commands = np.stack([_commands(r, c, window.start + ticks, max_hold) for r, c, window in spans])
+    _check_same_commands(commands, [window.label for window in found])
+    first = maps[0]
+    names = tuple(source.name for source in first.signals)
+    trials = Trials(
+        time=time,
+        signals=names,
+        units=tuple(source.unit for source in first.signals),
+        values=values,
+        command_channels=tuple(source.name for source in first.commands),
+        commands=commands,
+    )
+    gaps = tuple(
+        (trial, source.name, start, length)
+        for trial, (recording, channels, window) in enumerate(spans)
+        for source in channels.signals
+        for start, length in _gaps(recording, source, window, max_gap)
+    )
+    missing = np.isnan(values).sum(axis=1)
+    notes += _loss_notes(names, missing, samples, [window.label for window in found])
+    report = ResampleReport(names, missing, samples, gaps, tuple(notes))
+    return TrialsResult(trials, report, found[0].sequence, found[0].sequence_hash)
+
+
+def _check_positive(**values: float | None) -> None:
+    complaints = [
+        f"{name} must be a positive number, got {value}."
+        for name, value in values.items()
+        if value is not None and not value > 0
+    ]
+    if complaints:
+        raise InputError(complaints)
+
+
+def _channels(recording: Recording, rig: Rig | ChannelMap | None, namespace: str | None) -> ChannelMap:
+    if isinstance(rig, ChannelMap):
+        return rig
+    if rig is None:
+        return guessed_map(recording, namespace)
+    return channel_map(rig, namespace_of(recording) if namespace is None else namespace)
+
+
+def _seen(topic: StampedTopic, source: Source) -> NDArray[np.bool_]:
+    """(n,) which messages carry the value: a ball that is not visible is nowhere."""
+    if topic.type == BALL_STATE:
+        return topic.columns["visible"] != 0
+    return np.ones(len(topic), dtype=np.bool_)
+
+
+def _check(recording: Recording, channels: ChannelMap) -> None:
+    """Every named column is there, in every message, with finite values."""
+    complaints: list[str] = []
+    for source in (*channels.signals, *channels.commands):
+        try:
+            topic = recording.topic(source.topic, source.type)
+        except InputError as error:
+            complaints += error.complaints
+            continue
+        where = f"{recording.path}: topic '{source.topic}'"
+        joint, _, quantity = source.column.rpartition(".")
+        if source.column not in topic.columns:
+            has = f"joints {', '.join(topic.joints)}" if topic.joints else ", ".join(topic.columns)
+            complaints.append(
+                f"{where} has no {quantity} of joint '{joint}', needed for '{source.name}'; it has {has}."
+            )
+        elif topic.absent.get(source.column):
+            complaints.append(
+                f"{where}: joint '{joint}' has no {quantity} in {topic.absent[source.column]} of {len(topic)} messages. "
+                "Expected the same joints in every message; look for a second publisher on the topic."
+            )
+        else:
+            bad = np.flatnonzero(~np.isfinite(topic.columns[source.column]) & _seen(topic, source))
+            if len(bad):
+                since = (recording.stamps(source.topic)[bad[0]] - recording.stamps(source.topic)[0]) * 1e-9
+                complaints.append(
+                    f"{where}: {source.column} is NaN or infinite in {len(bad)} of {len(topic)} messages, first "
+                    f"{since:.3f} s after the topic's first. Expected finite numbers; look for a broken sensor channel, or "
+                    "leave the signal out."
+                )
+    if complaints:
+        raise InputError(dict.fromkeys(complaints))
+
+
+def _check_same_channels(recordings: Sequence[Recording], maps: Sequence[ChannelMap]) -> None:
+    expected = [s.name for s in maps[0].signals], [s.name for s in maps[0].commands]
+    complaints = [
+        f"{recording.path}: signals and commands {sorted(s.name for s in (*m.signals, *m.commands))} differ from those of "
+        f"{recordings[0].path}, {sorted(expected[0] + expected[1])}. Trials need the same; name a rig or the signals."
+        for recording, m in zip(recordings, maps, strict=True)
+        if ([s.name for s in m.signals], [s.name for s in m.commands]) != expected
+    ]
+    if complaints:
+        raise InputError(complaints)
+
+
+def _check_same_commands(commands: Array, labels: Sequence[str]) -> None:
+    """Bags without a sequence hash tell by their commands whether they belong together."""
+    spread = np.nanmax(commands[0], axis=0, initial=-np.inf) - np.nanmin(commands[0], axis=0, initial=np.inf)
+    complaints = []
+    for trial in range(1, len(commands)):
+        for channel in range(commands.shape[2]):
+            apart = np.abs(commands[trial, :, channel] - commands[0, :, channel])
+            if np.isfinite(apart).any() and np.nanmedian(apart) > COMMANDS_ALIKE * max(spread[channel], 1e-6):
+                complaints.append(
+                    f"{labels[trial]}: its commands are not those of {labels[0]} (they are {np.nanmedian(apart):.4g} rad "
+                    "apart half of the time). Trials must play the same sequence; compare these bags separately."
+                )
+                break
+    if complaints:
+        raise InputError(complaints)
+
+
+def _values(recording: Recording, channels: ChannelMap, grid: NDArray[np.int64], max_gap: float) -> Array:
+    out = np.empty((len(grid), len(channels.signals)))
+    for i, source in enumerate(channels.signals):
+        topic = recording.topics[source.topic]
+        seen = _seen(topic, source)
+        stamps = recording.stamps(source.topic)
+        out[:, i] = interpolate(stamps[seen], topic.columns[source.column][seen], grid, max_gap)
+    return out
+
+
+def _commands(recording: Recording, channels: ChannelMap, grid: NDArray[np.int64], max_hold: float | None) -> Array:
+    out = np.empty((len(grid), len(channels.commands)))
+    for i, source in enumerate(channels.commands):
+        topic = recording.topics[source.topic]
+        out[:, i] = hold(recording.stamps(source.topic), topic.columns[source.column], grid, max_hold)
+    return out
+
+
+def _gaps(recording: Recording, source: Source, window: Window, max_gap: float) -> Iterator[tuple[float, float]]:
+    topic = recording.topics[source.topic]
+    stamps = recording.stamps(source.topic)[_seen(topic, source)]
+    for i in np.flatnonzero(np.diff(stamps) > round(max_gap * 1e9)):
+        start, length = (stamps[i] - window.start) * 1e-9, (stamps[i + 1] - stamps[i]) * 1e-9
+        if start + length > 0 and start < window.seconds:
+            yield float(start), float(length)
+
+
+def _loss_notes(names: Sequence[str], missing: NDArray[np.int64], samples: int, labels: Sequence[str]) -> Iterator[str]:
+    for trial, label in enumerate(labels):
+        lost = [f"{name} {count}" for name, count in zip(names, missing[trial], strict=True) if count > samples * 0.01]
+        if lost:
+            yield f"{label}: of {samples} samples unseen: {', '.join(lost)}."
