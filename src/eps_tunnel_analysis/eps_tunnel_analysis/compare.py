@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one function in which real and simulated trajectories meet."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.trials import Trials
+
+from eps_tunnel_analysis.alikeness import KS, Alikeness, Span, alikeness_over_k
+from eps_tunnel_analysis.error import SignalError, signal_errors
+from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
+from eps_tunnel_analysis.where import Misfit, sentences, where
+
+TRIM = 0.5  # s by which one side may be longer; the rest of it is left out and told
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How far a simulation is from reality, and where.
+
+    Attributes:
+        real, sim: the trials compared: same signals, same time.
+        real_tunnel, sim_tunnel: of these trials, smoothed (equation 12) or not.
+        alikeness: one for each real factor k, in rising order of k.
+        errors: one per signal.
+        where: the misfit over phases, directions, amplitudes, axes and trials.
+        notes: what was left out on the way, in words.
+    """
+
+    real: Trials
+    sim: Trials
+    real_tunnel: Tunnel
+    sim_tunnel: Tunnel
+    alikeness: tuple[Alikeness, ...]
+    errors: tuple[SignalError, ...]
+    where: tuple[Misfit, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """m names."""
+        return self.real.signals
+
+    @property
+    def spans(self) -> tuple[Span, ...]:
+        """Runs of time outside the tunnel at the smallest k, signal by signal."""
+        return tuple(span for name in self.signals for span in self.alikeness[0].spans(name))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dicts, lists, numbers and words; NaN becomes None. SI units."""
+        content = {
+            "signals": list(self.signals),
+            "units": list(self.real.units),
+            "samples": len(self.real.time),
+            "step": self.real.step,
+            "trials_real": self.real.count,
+            "trials_sim": self.sim.count,
+            "smoothed": self.real_tunnel.smoothed,
+            "k_sim": self.alikeness[0].k_sim,
+            "alikeness": [
+                {"k": a.k_real, "joint": a.joint, "signals": a.shares, "unseen": a.unseen, "unseen_joint": a.joint_unseen}
+                for a in self.alikeness
+            ],
+            "errors": [asdict(e) for e in self.errors],
+            "spans": [asdict(s) for s in self.spans],
+            "where": [asdict(m) for m in self.where],
+            "where_in_words": list(sentences(self.where)),
+            "notes": list(self.notes),
+        }
+        return _plain(content)
+
+
+def compare(
+    real: Trials,
+    sim: Trials,
+    ks: Iterable[float] = KS,
+    smoothed: bool = True,
+    k_sim: float = 1.0,
+    signals: Iterable[str] | None = None,
+) -> Comparison:
+    """Tunnels, alikeness for each k, errors, and where the simulation fails.
+
+    Args:
+        real, sim: trials of the same sequence on even grids with the same step and start. A side that is up to
+            TRIM longer is cut to the other's length.
+        ks: factors of the real tunnel; k_sim is the factor of the simulated one.
+        smoothed: filter the limits by equation 12, as the paper does before counting.
+        signals: which to compare; by default all that both sides have.
+
+    Raises:
+        InputError: no signal in common, an unknown signal, other units, another time grid, a senseless k.
+    """
+    factors = tuple(sorted({float(k) for k in ks}))
+    if not factors:
+        raise InputError("At least one factor k is needed, for example 1.")
+    names, notes = _signals(real, sim, signals)
+    real, sim = real.select(names), sim.select(names)
+    if real.units != sim.units:
+        rows = [f"{n} ({a}, {b})" for n, a, b in zip(names, real.units, sim.units, strict=True) if a != b]
+        raise InputError(f"Signals whose units differ between real and simulation: {', '.join(rows)}.")
+    real, sim, cut = _same_time(real, sim)
+    real_tunnel, sim_tunnel = build_tunnel(real), build_tunnel(sim)
+    if smoothed:
+        real_tunnel, sim_tunnel = smooth(real_tunnel), smooth(sim_tunnel)
+    if real.count == 1:
+        notes += ("One real trial only: its tunnel has no width, so what the rig itself repeats cannot be known.",)
+    return Comparison(
+        real=real,
+        sim=sim,
+        real_tunnel=real_tunnel,
+        sim_tunnel=sim_tunnel,
+        alikeness=alikeness_over_k(real_tunnel, sim_tunnel, factors, k_sim),
+        errors=signal_errors(real, sim),
+        where=where(real, sim),
+        notes=notes + cut,
+    )
+
+
+def _signals(real: Trials, sim: Trials, asked: Iterable[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    common = tuple(s for s in real.signals if s in sim.signals)
+    if asked is not None:
+        names = tuple(dict.fromkeys(asked))
+        unknown = [unknown_name("signal", name, common) for name in names if name not in common]
+        if unknown:
+            raise InputError(unknown)
+        return names, ()
+    if not common:
+        raise InputError(
+            f"The two sides have no signal in common. Real: {', '.join(real.signals)}; "
+            f"simulation: {', '.join(sim.signals)}."
+        )
+    left = [f"{s} (real only)" for s in real.signals if s not in common]
+    left += [f"{s} (simulation only)" for s in sim.signals if s not in common]
+    return common, (f"Signals on one side only, left out: {', '.join(left)}.",) if left else ()
+
+
+def _same_time(real: Trials, sim: Trials) -> tuple[Trials, Trials, tuple[str, ...]]:
+    """Both sides cut to the time they share."""
+    t = min(len(real.time), len(sim.time))
+    longest = max(real.time[-1], sim.time[-1])
+    if not math.isclose(real.step, sim.step, rel_tol=1e-6) and t > 1:
+        raise InputError(
+            f"The two sides need one sampling step; real has {real.step:g} s, simulation {sim.step:g} s. "
+            "Resample both at the same rate."
+        )
+    if not np.allclose(real.time[:t], sim.time[:t], rtol=0, atol=1e-6):
+        raise InputError(f"The two sides start at different times: {real.time[0]:g} s and {sim.time[0]:g} s.")
+    missing = float(longest - real.time[t - 1])
+    if missing > TRIM + 1e-9:
+        raise InputError(
+            f"The two sides differ in length: real ends at {real.time[-1]:g} s, simulation at {sim.time[-1]:g} s. "
+            "Are they of the same sequence?"
+        )
+    note = (f"The last {missing:.2f} s, which one side lacks, are left out.",) if missing > 0 else ()
+    return _first(real, t), _first(sim, t), note
+
+
+def _first(trials: Trials, t: int) -> Trials:
+    if len(trials.time) == t:
+        return trials
+    return replace(trials, time=trials.time[:t], values=trials.values[:, :t], commands=trials.commands[:, :t])
+
+
+def _plain(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {key: _plain(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_plain(value) for value in content]
+    if isinstance(content, float):
+        return content if math.isfinite(content) else None
+    return content

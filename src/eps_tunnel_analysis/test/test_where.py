@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a model fails: phases of the command, and how the misfit spreads over them."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from eps_tunnel_analysis.phases import MEANING, channel_of, phases
+from eps_tunnel_analysis.where import sentences, where
+from tunnel_cases import make_trials, pairs
+
+STEP = 0.01
+TIME = np.arange(600) * STEP
+
+
+def at(label, second):
+    return label[round(second / STEP)]
+
+
+def step_command():
+    """0, up to 0.1 rad at 1 s, back to 0 at 3 s, NaN from 5 s on."""
+    command = np.where((TIME >= 1 - 1e-9) & (TIME < 3 - 1e-9), 0.1, 0.0)
+    command[500:] = np.nan
+    return command
+
+
+def test_phases_of_a_step_and_back():
+    label = phases(TIME, step_command())
+    assert [at(label.phase, s) for s in (0.5, 1.0, 1.4, 2.0, 3.2, 4.0, 5.5)] == [
+        "rest", "rise", "rise", "hold", "rise", "rest", "no command",
+    ]  # fmt: skip
+    assert [at(label.direction, s) for s in (0.5, 1.0, 2.9, 3.0, 4.0)] == ["none", "up", "up", "down", "down"]
+    assert at(label.amplitude, 0.5) == 0 and at(label.amplitude, 4) == pytest.approx(0.1)
+
+
+def test_phases_of_a_triangle_turn_round_at_its_peaks():
+    command = 0.07 * (1 - np.abs((TIME / 1.0) % 2 - 1))  # peaks at 1, 3, 5 s
+    label = phases(TIME, command)
+    assert at(label.phase, 0.5) == "rise" and at(label.phase, 1.1) == "reversal" and at(label.phase, 1.5) == "rise"
+    assert at(label.direction, 0.5) == "up" and at(label.direction, 1.5) == "down"
+    assert at(label.amplitude, 1.5) == pytest.approx(0.07)
+
+
+def test_a_quantised_slow_ramp_is_one_motion():
+    tick = 0.001534
+    label = phases(TIME, np.floor(TIME * 0.014 / tick) * tick)  # about 9 ticks a second
+    assert set(label.phase[20:]) == {"rise"} and set(label.direction[20:]) == {"up"}
+
+
+def test_a_command_that_never_moves_is_rest():
+    assert set(phases(TIME, np.full(600, 0.2)).phase) == {"rest"}
+    assert set(phases(TIME, np.full(600, np.nan)).phase) == {"no command"}
+    assert "rest" in MEANING
+
+
+def test_a_signal_finds_its_command_channel():
+    channels = ("motor_x", "motor_y")
+    assert channel_of("motor_x", channels) == "motor_x"
+    assert channel_of("motor_y_velocity", channels) == "motor_y"
+    assert channel_of("board_x", channels) == "motor_x"
+    assert channel_of("board_y_velocity", channels) == "motor_y"
+    assert channel_of("temperature", channels) is None
+    assert channel_of("anything", ("servo",)) == "servo"
+
+
+def test_an_offset_while_holding_is_found_there_and_nowhere_else():
+    command = step_command()
+    real = np.stack([np.zeros(600), np.zeros(600)])[:, :, None]
+    sim = np.where(phases(TIME, command).phase == "hold", 0.01, 0.0)[None, :, None]
+    commands = np.repeat(command[None, :, None], 2, axis=0)
+    rows = where(make_trials(real, commands=commands), make_trials(sim, commands=commands[:1]))
+    worst = next(m for m in rows if m.kind == "phase")
+    assert worst.group == "hold" and worst.error_share == pytest.approx(1)
+    assert worst.mean == pytest.approx(0.01) and worst.rms == pytest.approx(0.01)
+    assert "hold, going up: 100% of its squared error" in sentences(rows)[0]
+    assert "0.573 deg above" in sentences(rows)[0]
+
+
+def test_a_trial_apart_from_the_others_is_the_worst_trial():
+    values = np.zeros((3, 50, 1))
+    values[1] += 1.0
+    rows = [m for m in where(make_trials(values), make_trials(np.zeros((1, 50, 1)))) if m.kind == "trial"]
+    assert rows[0].group == "trial 2" and rows[0].error_share == pytest.approx(1)
+    assert rows[0].mean == -1  # simulation minus real
+
+
+@given(pairs(holes=True))
+def test_shares_of_each_kind_sum_to_one_or_to_nothing(pair):
+    t = pair[0].values.shape[1]
+    ramp = np.linspace(0, 1, t)[None, :, None]
+    real, sim = (make_trials(s.values, commands=np.repeat(ramp, s.count, axis=0)) for s in pair)
+    rows = where(real, sim)
+    for kind, signal in {(m.kind, m.signal) for m in rows if m.kind != "axis"}:
+        group = [m for m in rows if (m.kind, m.signal) == (kind, signal)]
+        assert sum(m.time_share for m in group) == pytest.approx(1)
+        assert sum(m.error_share for m in group) == pytest.approx(1) or all(m.rms == 0 for m in group)
+        assert [m.error_share for m in group] == sorted((m.error_share for m in group), reverse=True)
+
+
+def test_a_perfect_model_fails_nowhere():
+    trials = make_trials(np.ones((2, 20, 2)), commands=np.zeros((2, 20, 1)))
+    assert sentences(where(trials, trials)) == ()
