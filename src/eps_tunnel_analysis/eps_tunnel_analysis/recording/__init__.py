@@ -15,17 +15,21 @@ from eps_tunnel_analysis.recording.recording import (
     TimeSource,
     TrialMark,
 )
+from eps_tunnel_analysis.recording.repair import repair
 from eps_tunnel_analysis.recording.trials_from_bags import (
     ResampleReport,
     TrialsResult,
     read_trials,
     to_trials,
 )
+from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError
 
 __all__ = [
+    "BagWriter",
     "ChannelMap",
     "Gap",
     "Recording",
+    "RecordingError",
     "ResampleReport",
     "Source",
     "StampedTopic",
@@ -36,5 +40,6 @@ __all__ = [
     "guessed_map",
     "read",
     "read_trials",
+    "repair",
     "to_trials",
 ]

@@ -6,14 +6,14 @@ recorder was killed), and so is a lone .mcap file without a footer: those are re
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labyrinth_sim.errors import InputError
 from rosbags.interfaces import MessageDefinition
 from rosbags.rosbag2 import Reader
 
-from eps_tunnel_analysis.recording.recovery import MCAP_MAGIC, scan
+from eps_tunnel_analysis.recording.recovery import MCAP_MAGIC, head_metadata, scan
+from labyrinth_sim.errors import InputError
 
 SUFFIXES = (".mcap", ".db3")
 EXPECTED = "a rosbag2 folder (with metadata.yaml) or a single .mcap or .db3 file of ROS 2 messages"
@@ -137,7 +137,7 @@ def _lone_file(path: Path, file: Path) -> Bag:
     if start != MCAP_MAGIC:
         raise InputError(f"{path}: {file.name} is not an MCAP file. Expected {EXPECTED}.")
     if closed:
-        return _closed(path, file)
+        return replace(_closed(path, file), metadata=head_metadata(file))
     return recovered(path, file)
 
 

@@ -94,8 +94,7 @@ class _Walk:
 
     def number(self) -> int:
         self.align(4)
-        value = int.from_bytes(self.take(4), "little")
-        return value
+        return int.from_bytes(self.take(4), "little")
 
     def string(self) -> str:
         return self.take(self.number())[:-1].decode()

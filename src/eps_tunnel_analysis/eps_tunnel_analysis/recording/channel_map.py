@@ -5,11 +5,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.rig import Rig
 
 from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE
 from eps_tunnel_analysis.recording.recording import Recording
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.rig import Rig
 
 FIELDS = {"position": ("position", ""), "velocity": ("velocity", "_velocity"), "torque": ("effort", "_effort")}
 UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from labyrinth_sim.errors import InputError
 from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
 
@@ -14,6 +13,7 @@ from eps_tunnel_analysis.recording.bag import RawTopic
 from eps_tunnel_analysis.recording.cdr import decode_constant
 from eps_tunnel_analysis.recording.message_types import JOINT_STATE
 from eps_tunnel_analysis.recording.recording import Column, Nanoseconds, StampedTopic
+from labyrinth_sim.errors import InputError
 
 JOINT_FIELDS = ("position", "velocity", "effort")
 

@@ -4,11 +4,11 @@
 from pathlib import Path
 from typing import Any
 
-from labyrinth_sim.errors import InputError
 from rosbags.typesys.store import Typestore
 
 from eps_tunnel_analysis.recording.bag import RawTopic
 from eps_tunnel_analysis.recording.recording import Phase, TimeSource, TrialMark
+from labyrinth_sim.errors import InputError
 
 
 def trial_marks(raw: RawTopic, store: Typestore, source: TimeSource, path: Path) -> list[TrialMark]:

@@ -40,11 +40,15 @@ def typestore(definitions: Iterable[tuple[str, MessageDefinition]] = ()) -> Type
     store = get_typestore(Stores.ROS2_KILTED)
     own = [(name, MessageDefinition(MessageDefinitionFormat.MSG, text)) for name, text in labyrinth_definitions()]
     for name, definition in (*definitions, *own):
-        if name in store.fielddefs or definition.format == MessageDefinitionFormat.NONE:
-            continue
-        if definition.format == MessageDefinitionFormat.MSG:
-            types = get_types_from_msg(definition.data, name)
-        else:
-            types = get_types_from_idl(definition.data)
-        store.register({key: value for key, value in types.items() if key not in store.fielddefs})
+        if name not in store.fielddefs and definition.format != MessageDefinitionFormat.NONE:
+            register(store, name, definition)
     return store
+
+
+def register(store: Typestore, name: str, definition: MessageDefinition) -> None:
+    """Adds a type and those it uses, as far as the store does not know them. Raises TypesysError."""
+    if definition.format == MessageDefinitionFormat.MSG:
+        types = get_types_from_msg(definition.data, name)
+    else:
+        types = get_types_from_idl(definition.data)
+    store.register({key: value for key, value in types.items() if key not in store.fielddefs})

@@ -4,7 +4,6 @@
 from pathlib import Path
 
 import numpy as np
-from labyrinth_sim.errors import InputError, unknown_name
 from rosbags.typesys import TypesysError
 
 from eps_tunnel_analysis.recording.bag import Bag, read_bag
@@ -17,6 +16,7 @@ from eps_tunnel_analysis.recording.recording import (
     StampedTopic,
     TimeSource,
 )
+from labyrinth_sim.errors import InputError, unknown_name
 
 
 def read(path: Path | str, time_source: TimeSource = "header") -> Recording:

@@ -8,8 +8,9 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from labyrinth_sim.errors import InputError, unknown_name
 from numpy.typing import NDArray
+
+from labyrinth_sim.errors import InputError, unknown_name
 
 TimeSource = Literal["header", "log"]
 Phase = Literal["start", "end", "aborted"]

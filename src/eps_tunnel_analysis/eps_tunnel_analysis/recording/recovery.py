@@ -54,6 +54,17 @@ def scan(file: Path, metadata: dict[str, str]) -> Iterator[RawMessage]:
             yield RawMessage(*channels[record.channel_id], record.log_time, record.data)
 
 
+def head_metadata(file: Path) -> dict[str, str]:
+    """What the recorder noted before the first message."""
+    found: dict[str, str] = {}
+    for record in _whole_records(file):
+        if isinstance(record, Metadata) and record.name != "rosbag2":
+            found.update(record.metadata)
+        elif isinstance(record, Message):
+            break
+    return found
+
+
 def _whole_records(file: Path) -> Iterator[McapRecord]:
     size = file.stat().st_size
     with file.open("rb") as stream:

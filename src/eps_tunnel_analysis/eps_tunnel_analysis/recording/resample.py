@@ -2,8 +2,9 @@
 """From stamped samples to an even grid: straight lines between measurements, steps between commands."""
 
 import numpy as np
-from labyrinth_sim.trials import Array
 from numpy.typing import NDArray
+
+from labyrinth_sim.trials import Array
 
 
 def interpolate(stamps: NDArray[np.int64], values: Array, grid: NDArray[np.int64], max_gap: float) -> Array:

@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from labyrinth_sim.errors import InputError
-from labyrinth_sim.rig import Rig
-from labyrinth_sim.trials import Array, Trials
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.recording.channel_map import (
@@ -18,9 +15,9 @@ from eps_tunnel_analysis.recording.channel_map import (
     guessed_map,
     namespace_of,
 )
-from eps_tunnel_analysis.recording.message_types import BALL_STATE
+from eps_tunnel_analysis.recording.checks import check_channels, check_same_channels, check_same_commands, seen
 from eps_tunnel_analysis.recording.reader import read
-from eps_tunnel_analysis.recording.recording import Recording, StampedTopic, TimeSource
+from eps_tunnel_analysis.recording.recording import Recording, TimeSource
 from eps_tunnel_analysis.recording.resample import hold, interpolate
 from eps_tunnel_analysis.recording.windows import (
     Window,
@@ -28,6 +25,9 @@ from eps_tunnel_analysis.recording.windows import (
     cut,
     windows,
 )
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.rig import Rig
+from labyrinth_sim.trials import Array, Trials
 
 RATE = 100.0
 """Hz"""
@@ -35,8 +35,6 @@ MAX_GAP = 0.1
 """s; longest span between two measurements that is bridged by a straight line"""
 MAX_HOLD = 0.5
 """s; longest pause in a stream of commands through which the last target is held"""
-COMMANDS_ALIKE = 0.05
-"""of the commands' range; trials whose commands are further apart half of the time play different sequences"""
 
 
 @dataclass(frozen=True)
@@ -129,14 +127,14 @@ def to_trials(
         try:
             channels = _channels(recording, rig, namespace)
             channels = channels.select(signals) if signals is not None else channels
-            _check(recording, channels)
+            check_channels(recording, channels)
             maps.append(channels)
             spans += [(recording, channels, window) for window in windows(recording, channels, notes)]
         except InputError as error:
             complaints += error.complaints
     if complaints:
         raise InputError(complaints)
-    _check_same_channels(recordings, maps)
+    check_same_channels(recordings, maps)
     found = [window for _, _, window in spans]
     check_same_sequence(found)
     samples = cut(
@@ -146,7 +144,7 @@ def to_trials(
     ticks = np.round(time * 1e9).astype(np.int64)
     values = np.stack([_values(r, c, window.start + ticks, max_gap) for r, c, window in spans])
     commands = np.stack([_commands(r, c, window.start + ticks, max_hold) for r, c, window in spans])
-    _check_same_commands(commands, [window.label for window in found])
+    check_same_commands(commands, [window.label for window in found])
     first = maps[0]
     names = tuple(source.name for source in first.signals)
     trials = Trials(
@@ -187,83 +185,13 @@ def _channels(recording: Recording, rig: Rig | ChannelMap | None, namespace: str
     return channel_map(rig, namespace_of(recording) if namespace is None else namespace)
 
 
-def _seen(topic: StampedTopic, source: Source) -> NDArray[np.bool_]:
-    """(n,) which messages carry the value: a ball that is not visible is nowhere."""
-    if topic.type == BALL_STATE:
-        return topic.columns["visible"] != 0
-    return np.ones(len(topic), dtype=np.bool_)
-
-
-def _check(recording: Recording, channels: ChannelMap) -> None:
-    """Every named column is there, in every message, with finite values."""
-    complaints: list[str] = []
-    for source in (*channels.signals, *channels.commands):
-        try:
-            topic = recording.topic(source.topic, source.type)
-        except InputError as error:
-            complaints += error.complaints
-            continue
-        where = f"{recording.path}: topic '{source.topic}'"
-        joint, _, quantity = source.column.rpartition(".")
-        if source.column not in topic.columns:
-            has = f"joints {', '.join(topic.joints)}" if topic.joints else ", ".join(topic.columns)
-            complaints.append(
-                f"{where} has no {quantity} of joint '{joint}', needed for '{source.name}'; it has {has}."
-            )
-        elif topic.absent.get(source.column):
-            complaints.append(
-                f"{where}: joint '{joint}' has no {quantity} in {topic.absent[source.column]} of {len(topic)} messages. "
-                "Expected the same joints in every message; look for a second publisher on the topic."
-            )
-        else:
-            bad = np.flatnonzero(~np.isfinite(topic.columns[source.column]) & _seen(topic, source))
-            if len(bad):
-                since = (recording.stamps(source.topic)[bad[0]] - recording.stamps(source.topic)[0]) * 1e-9
-                complaints.append(
-                    f"{where}: {source.column} is NaN or infinite in {len(bad)} of {len(topic)} messages, first "
-                    f"{since:.3f} s after the topic's first. Expected finite numbers; look for a broken sensor channel, or "
-                    "leave the signal out."
-                )
-    if complaints:
-        raise InputError(dict.fromkeys(complaints))
-
-
-def _check_same_channels(recordings: Sequence[Recording], maps: Sequence[ChannelMap]) -> None:
-    expected = [s.name for s in maps[0].signals], [s.name for s in maps[0].commands]
-    complaints = [
-        f"{recording.path}: signals and commands {sorted(s.name for s in (*m.signals, *m.commands))} differ from those of "
-        f"{recordings[0].path}, {sorted(expected[0] + expected[1])}. Trials need the same; name a rig or the signals."
-        for recording, m in zip(recordings, maps, strict=True)
-        if ([s.name for s in m.signals], [s.name for s in m.commands]) != expected
-    ]
-    if complaints:
-        raise InputError(complaints)
-
-
-def _check_same_commands(commands: Array, labels: Sequence[str]) -> None:
-    """Bags without a sequence hash tell by their commands whether they belong together."""
-    spread = np.nanmax(commands[0], axis=0, initial=-np.inf) - np.nanmin(commands[0], axis=0, initial=np.inf)
-    complaints = []
-    for trial in range(1, len(commands)):
-        for channel in range(commands.shape[2]):
-            apart = np.abs(commands[trial, :, channel] - commands[0, :, channel])
-            if np.isfinite(apart).any() and np.nanmedian(apart) > COMMANDS_ALIKE * max(spread[channel], 1e-6):
-                complaints.append(
-                    f"{labels[trial]}: its commands are not those of {labels[0]} (they are {np.nanmedian(apart):.4g} rad "
-                    "apart half of the time). Trials must play the same sequence; compare these bags separately."
-                )
-                break
-    if complaints:
-        raise InputError(complaints)
-
-
 def _values(recording: Recording, channels: ChannelMap, grid: NDArray[np.int64], max_gap: float) -> Array:
     out = np.empty((len(grid), len(channels.signals)))
     for i, source in enumerate(channels.signals):
         topic = recording.topics[source.topic]
-        seen = _seen(topic, source)
+        there = seen(topic)
         stamps = recording.stamps(source.topic)
-        out[:, i] = interpolate(stamps[seen], topic.columns[source.column][seen], grid, max_gap)
+        out[:, i] = interpolate(stamps[there], topic.columns[source.column][there], grid, max_gap)
     return out
 
 
@@ -277,7 +205,7 @@ def _commands(recording: Recording, channels: ChannelMap, grid: NDArray[np.int64
 
 def _gaps(recording: Recording, source: Source, window: Window, max_gap: float) -> Iterator[tuple[float, float]]:
     topic = recording.topics[source.topic]
-    stamps = recording.stamps(source.topic)[_seen(topic, source)]
+    stamps = recording.stamps(source.topic)[seen(topic)]
     for i in np.flatnonzero(np.diff(stamps) > round(max_gap * 1e9)):
         start, length = (stamps[i] - window.start) * 1e-9, (stamps[i + 1] - stamps[i]) * 1e-9
         if start + length > 0 and start < window.seconds:

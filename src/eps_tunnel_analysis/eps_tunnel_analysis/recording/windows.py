@@ -5,10 +5,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from labyrinth_sim.errors import InputError
-
 from eps_tunnel_analysis.recording.channel_map import ChannelMap
 from eps_tunnel_analysis.recording.recording import Recording, TrialMark
+from labyrinth_sim.errors import InputError
 
 JITTER = 0.1
 """s; lengths of trials that differ by less are the same length, told by a recorder's last messages"""
