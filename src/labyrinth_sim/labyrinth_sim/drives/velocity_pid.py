@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's simulated servo, equation 8: a PID law on the angle commands a speed."""
+
+import mujoco
+import numpy as np
+
+from labyrinth_sim.effect import Drive, Parameter, Values
+from labyrinth_sim.filters import Delay
+from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.site import Site
+from labyrinth_sim.trials import Array
+
+REFERENCE_STEP = 0.01  # s; the paper samples at 100 Hz
+
+
+class VelocityPid:
+    """Equation 8, `v_n = P e_n + I sum(e_k dt_k) + D (e_n - e_{n-1})`, at any step.
+
+    D is meant for 10 ms; at another step the difference is scaled, so that the damping stays the same.
+    """
+
+    def __init__(self, values: Values, step: float) -> None:
+        self.p, self.i = values["p"], values["i"]
+        self.d = values["d"] * (REFERENCE_STEP / step)
+        self.step = step
+        self.sum = np.zeros_like(self.p)
+        self.last = np.zeros_like(self.p)
+
+    def __call__(self, error: Array) -> Array:
+        self.sum = self.sum + error * self.step
+        speed = self.p * error + self.i * self.sum + self.d * (error - self.last)
+        self.last = error
+        return speed
+
+    def restart(self, which: Array) -> None:
+        self.sum = np.where(which, 0.0, self.sum)
+        self.last = np.where(which, 0.0, self.last)
+
+
+def spec(spec: mujoco.MjSpec, site: Site) -> None:
+    actuator = spec.actuator(site.the_axis.actuator)
+    actuator.set_to_velocity(kv=1.0)
+    actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    actuator.forcerange = [-1.0, 1.0]
+
+
+def fields(fields: Fields, site: Site, values: Values) -> None:
+    fields["actuator_gainprm"][:, site.actuator, 0] = values["speed_gain"]
+    fields["actuator_biasprm"][:, site.actuator, 2] = -values["speed_gain"]
+    fields["actuator_forcerange"][:, site.actuator, 0] = -values["torque"]
+    fields["actuator_forcerange"][:, site.actuator, 1] = values["torque"]
+
+
+def target(values: Values, site: Site, step: float, start: Array) -> Delay | None:
+    return Delay(values["delay"], step, start) if values["delay"].any() else None
+
+
+def supply(live: Live, site: Site, factor: Array) -> None:
+    live["actuator_forcerange"][:, site.actuator] *= factor[:, None]
+
+
+DRIVE = Drive(
+    name="velocity_pid",
+    title="Speed servo under a PID law on the angle",
+    physics="The servo turns at the speed that a PID law on the angle's error asks for, as far as its torque suffices.",
+    equation="v_n = P e_n + I sum(e_k dt_k) + D (e_n - e_{n-1}); torque = clip(G (v_n - speed), -M, M)",
+    parameters=(
+        Parameter("p", "1/s", -25.0, 25.0, None, 1.0, "the paper's search range"),
+        Parameter("i", "1/s^2", -20.0, 20.0, None, 0.0, "the paper's search range"),
+        Parameter("d", "1/s", -20.0, 20.0, None, 0.0, "the paper's search range; at 10 ms a sample"),
+        Parameter("delay", "s", 0.0, 0.05, None, 0.0, "the paper's search range"),
+        Parameter("speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff beside 0.01 kg m^2 of armature"),
+        Parameter("torque", "N m", 0.01, 10.0, None, 2.8, "hobby servo to MX-106 (8.4 N m)"),
+    ),
+    spec=spec,
+    fields=fields,
+    target=target,
+    controller=VelocityPid,
+    supply=supply,
+)

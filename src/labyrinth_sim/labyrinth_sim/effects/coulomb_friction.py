@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coulomb friction, by MuJoCo's frictionloss."""
+
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.live import Fields
+from labyrinth_sim.site import Site
+
+
+def fields(fields: Fields, site: Site, values: Values) -> None:
+    fields["dof_frictionloss"][:, site.dof] += values["torque"]
+
+
+EFFECT = Effect(
+    name="coulomb_friction",
+    title="Coulomb friction",
+    physics="A torque of constant size opposes motion and holds the axis still when less than it acts.",
+    equation="torque = -F sign(speed); at rest |torque| <= F",
+    parameters=(
+        Parameter("torque", "N m", 0.0, 1.0, 0.0, 0.2, "0 to a third of the stall torque of a servo of this class"),
+    ),
+    stage="mjcf",
+    mark="The axis stops short of its target by the same angle from either side; flat tops after slow reversals.",
+    confused_with=("dead_band", "stribeck_friction", "load_friction", "backlash", "direction_friction"),
+    separated_by="Triangles at several speeds: Coulomb's error does not change with speed, Stribeck's does.",
+    fields=fields,
+)

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensor bias."""
+
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.filters import Map
+from labyrinth_sim.site import Site
+from labyrinth_sim.trials import Array
+
+
+def measure(values: Values, site: Site, step: float, start: Array) -> Map:
+    bias = values["bias"][:, None]
+    return Map(lambda angle: angle + bias)
+
+
+EFFECT = Effect(
+    name="sensor_bias",
+    title="Sensor bias",
+    physics="The sensor's zero is not the angle's zero.",
+    equation="angle' = angle + b",
+    parameters=(
+        Parameter("bias", "rad", -0.1, 0.1, 0.0, 0.02, "+-6 deg: a potentiometer glued on by eye, a horn one tooth off"),
+    ),
+    stage="measurement",
+    mark="One signal is shifted by the same angle at all times; the others are not.",
+    confused_with=("gravity_load", "positioning_error", "direction_friction"),
+    separated_by="Compare the sensors of one axis: a bias moves one of them, a load or a wrong command moves both.",
+    where="signal",
+    order=30,
+    measure=measure,
+)

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one engine under batches and the live node: many simulations of one plan, a sample at a time."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import mujoco
+import mujoco.batch
+import numpy as np
+from numpy.typing import NDArray
+
+from labyrinth_sim.build import Placed, Plan
+from labyrinth_sim.effect import Controller, Filter, Values
+from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.model import Model
+from labyrinth_sim.rig import BALL_SIGNALS, Measured
+from labyrinth_sim.site import Site, ball_site
+from labyrinth_sim.trials import Array
+
+LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
+
+
+class Engine:
+    """nsim simulations, advanced sample by sample.
+
+    Args:
+        model: the model.
+        plan: its compiled structure.
+        values: full parameter name -> (nsim,); every parameter of the model that is not at the MJCF's own value.
+        nsim: how many.
+        step: s between samples.
+        nthread: 0 for one per CPU. The result does not depend on it.
+    """
+
+    def __init__(self, model: Model, plan: Plan, values: Values, nsim: int, step: float, nthread: int = 0) -> None:
+        self.plan, self.nsim, self.step = plan, nsim, step
+        self.substeps = max(1, round(step / plan.mj.opt.timestep))
+        self.batch = mujoco.batch.Batch(plan.mj, nsim, nthread)
+        self.fields = Fields(self.batch)
+        self.fields["opt.timestep"][...] = step / self.substeps
+        self._values = values
+        self._set_fields(values)
+        self._hooks = [(p, _local(values, p.prefix)) for p in plan.effects if p.effect.step]
+        self._errors = [[(p, _local(values, p.prefix)) for p in plan.effects if p.effect.error and p.site.channel == i]
+                        for i in range(len(plan.drives))]  # fmt: skip
+        touched = {name for p, _ in self._hooks for name in p.effect.touches}
+        self.live = Live(self.batch, self.fields, tuple(sorted(touched)))
+        self.live_step = step / self.substeps
+        self._controllers: list[Controller | None] = [
+            kind.controller(_local(values, prefix), step) if kind.controller else None for kind, prefix, _ in plan.drives
+        ]
+        native_errors = any(e and c is None for e, c in zip(self._errors, self._controllers, strict=True))
+        self._every_step = bool(self._hooks) or native_errors
+        self._off = np.zeros((nsim, len(plan.drives)), dtype=bool)
+        self._measured = [_address(plan.mj, m) for m in model.rig.measured]
+        self._ctrl = self.batch.bind("ctrl")
+        self._stage = int(mujoco.mjtStage.mjSTAGE_POS if plan.with_ball else mujoco.mjtStage.mjSTAGE_NONE)
+        self.failed: NDArray[np.bool_] = np.zeros(nsim, dtype=bool)
+        self.messages: dict[int, str] = {}
+        if plan.with_ball:
+            self._ball = ball_site(model.rig, plan.mj)
+            self._xpos, self._site_pos = self.batch.bind("xpos"), self.batch.bind("site_xpos")
+            self._site_mat = self.batch.bind("site_xmat").reshape(nsim, -1, 3, 3)
+
+    def _set_fields(self, values: Values) -> None:
+        for name, numbers in values.items():
+            kind, owner, _, quantity = (*name.split(".", 1)[:1], *name[len(name.split(".")[0]) + 1 :].rpartition("."))
+            if kind == "joint":
+                self.fields[f"dof_{quantity}"][:, int(self.plan.mj.joint(owner).dofadr[0])] = numbers
+            elif kind == "body":
+                body = self.plan.mj.body(owner).id
+                self.fields["body_inertia"][:, body] *= (numbers / self.plan.mj.body_mass[body])[:, None]
+                self.fields["body_mass"][:, body] = numbers
+        for drive, prefix, site in self.plan.drives:
+            drive.fields(self.fields, site, _local(values, prefix))
+        for placed in self.plan.effects:
+            if placed.effect.fields:
+                placed.effect.fields(self.fields, placed.site, _local(values, placed.prefix))
+        self.fields.derive()
+
+    def start(self, qpos: Array, qvel: Array) -> None:
+        """Puts the simulations into their first state, (nsim, nq) and (nsim, nv)."""
+        self.batch.bind("qpos")[...] = qpos
+        self.batch.bind("qvel")[...] = qvel
+        if self._hooks or self.plan.with_ball:
+            self._run(lambda ids: self.batch.forward(ids))
+
+    def advance(self, target: Array) -> None:
+        """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off."""
+        off = np.isnan(target)
+        if (off != self._off).any():
+            self._switch(off)
+        errors = [self._error(i, target[:, i]) for i in range(target.shape[1])]
+        for i, (_, _, site) in enumerate(self.plan.drives):
+            controller = self._controllers[i]
+            if controller:
+                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, controller(np.where(off[:, i], 0.0, errors[i])))
+                if off[:, i].any():
+                    controller.restart(off[:, i])
+            elif not self._errors[i]:
+                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, target[:, i])
+        if not self._every_step:
+            self._run(lambda ids: self.batch.step(ids, self.substeps, self._stage))
+            return
+        for k in range(self.substeps):
+            self._before_step(target, off)
+            stage = self._stage if k == self.substeps - 1 else 0
+            self._run(lambda ids, stage=stage: self.batch.step(ids, 1, stage))
+
+    def _before_step(self, target: Array, off: NDArray[np.bool_]) -> None:
+        for i, (_, _, site) in enumerate(self.plan.drives):
+            if self._errors[i] and self._controllers[i] is None:
+                error = target[:, i] - self.live.qpos[:, site.qpos]
+                seen = target[:, i] + (self._error(i, target[:, i]) - error)
+                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, seen)
+        if self._hooks:
+            self.live.restore()
+            for placed, values in self._hooks:
+                assert placed.effect.step is not None
+                placed.effect.step(self.live, placed.site, values)
+
+    def _error(self, channel: int, target: Array) -> Array:
+        error = target - self.live.qpos[:, self.plan.drives[channel][2].qpos]
+        for placed, values in self._errors[channel]:
+            assert placed.effect.error is not None
+            error = placed.effect.error(values, error)
+        return error
+
+    def _switch(self, off: NDArray[np.bool_]) -> None:
+        bits = np.zeros(self.nsim, dtype=np.int32)
+        for i, (_, _, site) in enumerate(self.plan.drives):
+            bits |= np.where(off[:, i], 1 << site.group, 0).astype(np.int32)
+        self.fields["opt.disableactuator"][...] = bits
+        self._off = off
+
+    def _run(self, call: Callable[[NDArray[np.int32] | None], None]) -> None:
+        ids = None if not self.failed.any() else np.flatnonzero(~self.failed).astype(np.int32)
+        if ids is not None and ids.size == 0:
+            return
+        try:
+            call(ids)
+        except mujoco.batch.SimulationError as error:
+            for i in error.ids:
+                self._fail(int(i), self.batch.error(int(i)))
+
+    def _fail(self, sim: int, message: str) -> None:
+        if not self.failed[sim]:
+            self.failed[sim] = True
+            self.messages[sim] = message
+
+    def check(self, time: float) -> None:
+        """Marks simulations that diverged by `time` s; they are not stepped any more."""
+        speed = np.abs(self.live.qvel).max(axis=1)
+        for sim in np.flatnonzero(~(speed < LIMIT) & ~self.failed):
+            self._fail(int(sim), f"diverged by {time:.3f} s: a speed beyond {LIMIT:g} rad/s or not a number")
+
+    def measure(self) -> Array:
+        """(nsim, m) signals now, before any sensor's effects; the ball's last."""
+        columns = []
+        for quantity, address in self._measured:
+            source = {"position": self.live.qpos, "velocity": self.live.qvel, "torque": self.live.actuator}[quantity]
+            columns.append(source[:, address])
+        if self.plan.with_ball:
+            columns += list(self.ball().T[:2])
+        return np.stack(columns, axis=1)
+
+    def ball(self) -> Array:
+        """(nsim, 3) m, the ball's centre in its site's frame."""
+        offset = self._xpos[:, self._ball.ball_body] - self._site_pos[:, self._ball.ball_site]
+        mat = self._site_mat[:, self._ball.ball_site]
+        # Written out, so that the sum has one order at any batch size.
+        return mat[:, 0] * offset[:, :1] + mat[:, 1] * offset[:, 1:2] + mat[:, 2] * offset[:, 2:]
+
+    def place_ball(self, given: Mapping[str, Array]) -> None:
+        """Puts the balls, at rest, at `ball_x`, `ball_y` (nsim,) m, or where the MJCF has them."""
+        place_ball(self._ball, self.plan.mj, self.live.qpos, given)
+        self.live.qvel[:, self._ball.ball_dof : self._ball.ball_dof + 6] = 0.0
+
+
+def _address(mj: mujoco.MjModel, measured: Measured) -> tuple[str, int]:
+    joint = mj.joint(measured.joint)
+    return measured.quantity, int(joint.qposadr[0] if measured.quantity == "position" else joint.dofadr[0])
+
+
+def _local(values: Values, prefix: str) -> dict[str, Array]:
+    return {name.removeprefix(prefix): numbers for name, numbers in values.items() if name.startswith(prefix)}
+
+
+def command_filters(plan: Plan, values: Values, step: float, start: Array) -> list[list[Filter]]:
+    """The filters of each command channel in order, the drive's own last. `start` is (nsim, u) rad."""
+    chains: list[list[Filter]] = []
+    for i, (drive, prefix, site) in enumerate(plan.drives):
+        made = [
+            placed.effect.command(_local(values, placed.prefix), placed.site, step, start[:, i])
+            for placed in plan.effects
+            if placed.effect.command and placed.site.channel == i
+        ]
+        made.append(drive.target(_local(values, prefix), site, step, start[:, i]) if drive.target else None)
+        chains.append([f for f in made if f is not None])
+    return chains
+
+
+def measure_filters(model: Model, plan: Plan, values: Values, step: float, first: Array) -> list[list[Filter]]:
+    """The filters of each signal in order; `first` is (nsim, m), the first sample."""
+    names = [m.signal for m in model.rig.measured] + (list(BALL_SIGNALS) if plan.with_ball else [])
+    chains: list[list[Filter]] = []
+    for column, signal in enumerate(names):
+        made = [
+            placed.effect.measure(_local(values, placed.prefix), site, step, first[:, column])
+            for placed in plan.effects
+            if placed.effect.measure and (site := _sees(placed, signal)) is not None
+        ]
+        chains.append([f for f in made if f is not None])
+    return chains
+
+
+def _sees(placed: Placed, signal: str) -> Site | None:
+    site, effect = placed.site, placed.effect
+    if effect.where == "signal":
+        return site if site.signal == signal else None
+    if effect.where == "ball":
+        return replace(site, signal=signal) if signal in BALL_SIGNALS else None
+    own = site.axis is not None and any(m.signal == signal for m in site.axis.measured)
+    return replace(site, signal=signal) if own else None
+
+
+def through(chains: list[list[Filter]], block: Array) -> Array:
+    """(nsim, K, channels) through each channel's filters."""
+    if not any(chains):
+        return block
+    out = np.array(block)
+    for i, chain in enumerate(chains):
+        for filter_ in chain:
+            out[:, :, i] = filter_(out[:, :, i], block)
+    return out
+
+
+def first_state(
+    model: Model, mj: mujoco.MjModel, with_ball: bool, nsim: int, initial: Mapping[str, Array] | None
+) -> tuple[Array, Array]:
+    """qpos (nsim, nq) and qvel (nsim, nv) from measured signals, each (nsim,); NaN and absent ones are 0.
+
+    Where only one side of a belt is given the other follows without slip.
+    """
+    qpos = np.tile(mj.qpos0, (nsim, 1))
+    qvel = np.zeros((nsim, mj.nv))
+    given = dict(initial or {})
+    for axis in model.rig.axes:
+        for quantity, array, address in (("position", qpos, "qposadr"), ("velocity", qvel, "dofadr")):
+            known = {
+                m.joint: np.asarray(given[m.signal], float)
+                for m in axis.measured
+                if m.quantity == quantity and m.signal in given
+            }
+            ratio = _ratio(mj, axis.belt) if axis.belt else 1.0
+            shaft = known.get(axis.joint, np.full(nsim, np.nan))
+            load = known.get(axis.load, np.full(nsim, np.nan))
+            rest = np.where(np.isnan(load), 0.0, load / ratio)
+            shaft = np.where(np.isnan(shaft), rest, shaft)
+            load = np.where(np.isnan(load), shaft * ratio, load)
+            for name, numbers in ((axis.joint, shaft), (axis.load, load)):
+                array[:, int(getattr(mj.joint(name), address)[0])] = numbers
+    if with_ball and model.rig.ball:
+        place_ball(ball_site(model.rig, mj), mj, qpos, given)
+    return qpos, qvel
+
+
+def _ratio(mj: mujoco.MjModel, belt: str) -> float:
+    first = int(mj.tendon_adr[mj.tendon(belt).id])
+    return float(-mj.wrap_prm[first] / mj.wrap_prm[first + 1])
+
+
+def place_ball(site: Site, mj: mujoco.MjModel, qpos: Array, given: Mapping[str, Array]) -> None:
+    """Writes the ball into qpos (nsim, nq), at ball_x, ball_y in its frame; at the MJCF's start point where not given."""
+    data = mujoco.MjData(mj)
+    mujoco.mj_forward(mj, data)
+    rest = data.site_xmat[site.ball_site].reshape(3, 3).T @ (data.xpos[site.ball_body] - data.site_xpos[site.ball_site])
+    for sim in range(len(qpos)):
+        place = rest.copy()
+        for axis, signal in enumerate(BALL_SIGNALS):
+            number = np.broadcast_to(given.get(signal, np.nan), (len(qpos),))[sim]
+            place[axis] = rest[axis] if np.isnan(number) else number
+        data.qpos[:] = qpos[sim]
+        mujoco.mj_kinematics(mj, data)
+        world = data.site_xpos[site.ball_site] + data.site_xmat[site.ball_site].reshape(3, 3) @ place
+        qpos[sim, site.ball_qpos : site.ball_qpos + 3] = world

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Filters on streams of samples, (nsim, K) in and out. A stream cut into blocks anywhere gives the same samples."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from labyrinth_sim.trials import Array
+
+
+class Map:
+    """Sample by sample, without memory."""
+
+    def __init__(self, function: Callable[[Array], Array]) -> None:
+        self.function = function
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        return self.function(own)
+
+
+class Delay:
+    """y(t) = u(t - delay), linear between the two samples around t - delay.
+
+    Samples before the first are `start` (nsim,). Where either neighbour is NaN (drive off) the nearer one counts.
+    """
+
+    def __init__(self, delay: Array, step: float, start: Array) -> None:
+        whole = np.floor(delay / step + 1e-9)
+        self.back = whole.astype(int)[:, None]
+        self.part = np.maximum(delay / step - whole, 0.0)[:, None]
+        self.past = np.repeat(np.asarray(start, float)[:, None], int(self.back.max(initial=0)) + 1, axis=1)
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        depth = self.past.shape[1]
+        stream = np.concatenate([self.past, own], axis=1)
+        here = np.arange(depth, depth + own.shape[1])[None, :] - self.back
+        newer = np.take_along_axis(stream, here, axis=1)
+        older = np.take_along_axis(stream, here - 1, axis=1)
+        self.past = stream[:, -depth:]
+        mixed = np.where(self.part == 0.0, newer, (1.0 - self.part) * newer + self.part * older)
+        return np.where(np.isnan(mixed), np.where(self.part < 0.5, newer, older), mixed)
+
+
+class Lag:
+    """First-order lag: tau y' + y = u, exact for u constant over a sample. NaN passes and restarts it."""
+
+    def __init__(self, time_constant: Array, step: float) -> None:
+        with np.errstate(divide="ignore"):
+            self.keep = np.where(time_constant > 0, np.exp(-step / np.maximum(time_constant, 1e-12)), 0.0)
+        self.last: Array | None = None
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        out = np.empty_like(own)
+        last = own[:, 0] if self.last is None else self.last
+        for k in range(own.shape[1]):
+            now = own[:, k]
+            last = np.where((self.keep == 0.0) | np.isnan(last), now, now + self.keep * (last - now))
+            out[:, k] = last
+        self.last = last
+        return out
+
+
+class RateLimit:
+    """Moves towards its input no faster than `rate` (nsim,) per s, from `start` (nsim,). NaN passes and restarts it."""
+
+    def __init__(self, rate: Array, free: Array, step: float, start: Array) -> None:
+        self.most, self.free, self.last = rate * step, free, np.array(start, float)
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        out = np.empty_like(own)
+        last = self.last
+        for k in range(own.shape[1]):
+            now = own[:, k]
+            last = np.where(
+                self.free | np.isnan(last), now, last + np.minimum(np.maximum(now - last, -self.most), self.most)
+            )
+            out[:, k] = last
+        self.last = last
+        return out
+
+
+class Play:
+    """Backlash as the play operator: the output follows once the input has crossed the gap of `width` (nsim,)."""
+
+    def __init__(self, width: Array) -> None:
+        self.half = width / 2
+        self.last: Array | None = None
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        out = np.empty_like(own)
+        last = own[:, 0] if self.last is None else self.last
+        for k in range(own.shape[1]):
+            now = own[:, k]
+            last = np.where(self.half == 0.0, now, np.minimum(np.maximum(last, now - self.half), now + self.half))
+            out[:, k] = last
+        self.last = last
+        return out
+
+
+def rounded(values: Array, tick: Array) -> Array:
+    """`values` (nsim, K) to the nearest multiple of `tick` (nsim,); unchanged where the tick is 0."""
+    tick = tick[:, None]
+    safe = np.where(tick > 0, tick, 1.0)
+    return np.where(tick > 0, np.round(values / safe) * safe, values)

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roll-outs: parameter sets times commands, all at once."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labyrinth_sim.build import Plan, compiled
+from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.model import PLAIN, Model
+from labyrinth_sim.rig import BALL_SIGNALS
+from labyrinth_sim.trials import Array, Trials, locked
+
+CHUNK = 4096  # simulations stepped together; bounds the memory of a large batch
+CHECK_EVERY = 50  # samples between looks for simulations that diverged
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """n parameter sets times c commands.
+
+    Attributes:
+        signals, units: m names and units.
+        values: (n, c, T, m); NaN from the first sample on where a simulation failed.
+        failed: (n, c) bool.
+        messages: why, by (parameter set, command).
+        steps: MuJoCo steps taken in all.
+    """
+
+    signals: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    failed: NDArray[np.bool_]
+    messages: Mapping[tuple[int, int], str]
+    steps: int
+
+
+def simulate(
+    model: Model,
+    time: Trials | ArrayLike,
+    commands: ArrayLike | None = None,
+    initial: Mapping[str, float] | None = None,
+    *,
+    with_ball: bool | None = None,
+    timestep: float | None = None,
+) -> Trials:
+    """One roll-out of a model.
+
+    Args:
+        time: (T,) s in even steps; or measured `Trials`, whose first trial gives time, commands and first state.
+        commands: (T, u) rad, held from each sample to the next; NaN where the drive is off.
+        initial: signal -> value at the first sample; what is not given is 0.
+        with_ball: simulate the ball too; None does so where `initial` says where it is.
+        timestep: s, MuJoCo's; None for the MJCF's.
+
+    Returns:
+        Trials with one trial, all signals of the rig (the ball's with a ball).
+
+    Raises:
+        InputError: shapes, names, or a simulation that diverged.
+    """
+    if isinstance(time, Trials):
+        trials = time
+        known = [s for s in trials.signals if s in model.rig.signals]
+        start = {s: float(trials.values[0, 0, trials.index(s)]) for s in known}
+        initial = {**{s: v for s, v in start.items() if not np.isnan(v)}, **(initial or {})}
+        time, commands = trials.time, commands if commands is not None else _commands_of(model, trials)
+    if commands is None:
+        raise InputError("simulate needs commands of shape (T, u), or Trials that carry them.")
+    block = np.asarray(commands, float)
+    first = {name: np.array([value]) for name, value in (initial or {}).items()}
+    result = simulate_batch(
+        model, (), np.empty((1, 0)), time, block[None], first, with_ball=with_ball, timestep=timestep, nthread=1
+    )
+    if result.failed.any():
+        raise InputError(f"The simulation of '{model.name}' {result.messages[0, 0]}. Try a smaller timestep or gains.")
+    return Trials(
+        time=np.asarray(time, float),
+        signals=result.signals,
+        units=result.units,
+        values=result.values[0],
+        command_channels=model.rig.command_channels,
+        commands=block[None],
+    )
+
+
+def _commands_of(model: Model, trials: Trials) -> Array:
+    missing = [c for c in model.rig.command_channels if c not in trials.command_channels]
+    if missing:
+        raise InputError([unknown_name("command channel", name, trials.command_channels) for name in missing])
+    columns = [trials.command_channels.index(c) for c in model.rig.command_channels]
+    return np.asarray(trials.commands[0][:, columns])
+
+
+def simulate_batch(
+    model: Model,
+    names: Sequence[str],
+    values: ArrayLike,
+    time: ArrayLike,
+    commands: ArrayLike,
+    initial: Mapping[str, ArrayLike] | None = None,
+    *,
+    per_command: Mapping[str, ArrayLike] | None = None,
+    with_ball: bool | None = None,
+    timestep: float | None = None,
+    nthread: int = 0,
+    progress: Callable[[int], None] | None = None,
+) -> BatchResult:
+    """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
+
+    Args:
+        model: gives the values of all parameters that are not in `names`.
+        names: k full parameter names.
+        values: (n, k), in the declared units and bounds.
+        time: (T,) s in even steps.
+        commands: (c, T, u) rad, held from each sample to the next; NaN where the drive is off.
+        initial: signal -> (c,) at the first sample, NaN where unknown.
+        per_command: full parameter name -> (c,), for what is known to differ between commands, as a gain set by hand.
+        with_ball: None simulates the ball where `initial` says where it is.
+        timestep: s, MuJoCo's own step; rounded so that samples are whole numbers of steps.
+        nthread: 0 for one per CPU.
+        progress: called with the number of finished simulations.
+
+    Raises:
+        InputError: everything that is wrong with the arguments.
+    """
+    grid, block = np.asarray(time, float), np.asarray(commands, float)
+    table = np.atleast_2d(np.asarray(values, float))
+    ball = with_ball if with_ball is not None else bool(initial) and any(s in (initial or {}) for s in BALL_SIGNALS)
+    _check(model, names, table, grid, block, initial, per_command, ball, timestep)
+    n, c = len(table), len(block)
+    step = float((grid[-1] - grid[0]) / (len(grid) - 1))
+    plan = compiled(model, ball, even_timestep(step, timestep, model, ball))
+    signals = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if ball else ())
+    units = model.rig.units[: len(signals)]
+    out = np.empty((n * c, len(grid), len(signals)))
+    messages: dict[tuple[int, int], str] = {}
+    steps = 0
+    for low in range(0, n * c, CHUNK):
+        which = np.arange(low, min(low + CHUNK, n * c))
+        sets, plays = which // c, which % c
+        numbers = numbers_of(model, len(which))
+        numbers |= {name: table[sets, column] for column, name in enumerate(names)}
+        numbers |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
+        first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays] for name, v in (initial or {}).items()}
+        engine = Engine(model, plan, numbers, len(which), step, nthread)
+        out[which] = _roll_out(model, plan, engine, numbers, step, block[plays], first)
+        out[which[engine.failed]] = np.nan
+        messages |= {(int(sets[i]), int(plays[i])): text for i, text in engine.messages.items()}
+        steps += len(which) * engine.substeps * (len(grid) - 1)
+        if progress:
+            progress(int(which[-1]) + 1)
+    failed = np.zeros((n, c), dtype=bool)
+    for where in messages:
+        failed[where] = True
+    return BatchResult(signals, units, locked(out.reshape(n, c, len(grid), -1)), failed, messages, steps)
+
+
+def _roll_out(
+    model: Model,
+    plan: Plan,
+    engine: Engine,
+    numbers: Mapping[str, Array],
+    step: float,
+    commands: Array,
+    first: Mapping[str, Array],
+) -> Array:
+    samples = commands.shape[1]
+    qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
+    engine.start(qpos, qvel)
+    start = rest_targets(plan, qpos, commands[:, 0])
+    targets = through(command_filters(plan, numbers, step, start), commands)
+    raw = np.empty((engine.nsim, samples, len(engine.measure()[0])))
+    raw[:, 0] = engine.measure()
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(1, samples):
+            engine.advance(targets[:, k - 1])
+            raw[:, k] = engine.measure()
+            if k % CHECK_EVERY == 0 or k == samples - 1:
+                engine.check(k * step)
+    return through(measure_filters(model, plan, numbers, step, raw[:, 0]), raw)
+
+
+def rest_targets(plan: Plan, qpos: Array, first: Array) -> Array:
+    """(nsim, u) targets before the first sample: where the axis stands; NaN where the drive starts switched off."""
+    angles = np.stack([qpos[:, site.qpos] for _, _, site in plan.drives], axis=1)
+    return np.where(np.isnan(first), np.nan, angles)
+
+
+def numbers_of(model: Model, nsim: int) -> dict[str, Array]:
+    """Full parameter name -> (nsim,): all of the model's values but plain MJCF quantities that it leaves alone."""
+    return {
+        name: np.full(nsim, value)
+        for name, value in model.values().items()
+        if name.split(".")[0] not in PLAIN or name in model.quantities
+    }
+
+
+def even_timestep(step: float, timestep: float | None, model: Model, ball: bool) -> float:
+    """MuJoCo's step, such that a sample is a whole number of steps."""
+    own = timestep if timestep is not None else float(compiled(model, ball).mj.opt.timestep)
+    return step / max(1, int(np.ceil(step / own - 1e-6)))
+
+
+def _check(
+    model: Model,
+    names: Sequence[str],
+    table: Array,
+    grid: Array,
+    block: Array,
+    initial: Mapping[str, ArrayLike] | None,
+    per_command: Mapping[str, ArrayLike] | None,
+    ball: bool,
+    timestep: float | None,
+) -> None:
+    known = model.parameters()
+    complaints = [unknown_name("parameter", n, known) for n in (*names, *(per_command or {})) if n not in known]
+    if len(set(names)) != len(names):
+        complaints.append(f"Parameter names must differ from one another, got {list(names)}.")
+    if table.ndim != 2 or table.shape[1] != len(names):
+        complaints.append(f"values must have shape (n, {len(names)}), got {table.shape}.")
+    elif not complaints:
+        for column, name in enumerate(names):
+            info, numbers = known[name], table[:, column]
+            bad = numbers[~((numbers >= info.low) & (numbers <= info.high))]
+            if bad.size:
+                complaints.append(f"{name} must lie within [{info.low:g}, {info.high:g}] {info.unit}, got {bad[0]:g}.")
+    u = len(model.rig.axes)
+    if grid.ndim != 1 or len(grid) < 2 or not np.allclose(np.diff(grid), np.diff(grid).mean(), rtol=1e-6, atol=1e-9):
+        complaints.append(f"time must be (T,) with T >= 2 even steps, got shape {grid.shape}. Resample first.")
+    elif block.ndim != 3 or block.shape[1:] != (len(grid), u):
+        complaints.append(
+            f"commands must have shape (c, {len(grid)}, {u}) for {', '.join(model.rig.command_channels)}, "
+            f"got {block.shape}."
+        )
+    if np.isinf(block).any():
+        complaints.append("commands must be finite, or NaN where the drive is off.")
+    valid = model.rig.signals
+    complaints += [unknown_name("signal", name, valid) for name in (initial or {}) if name not in valid]
+    if ball and not model.rig.ball:
+        complaints.append(f"Rig '{model.rig.name}' has no ball.")
+    if timestep is not None and not 1e-5 <= timestep <= 0.1:
+        complaints.append(f"timestep must lie within [1e-05, 0.1] s, got {timestep:g}.")
+    if complaints:
+        raise InputError(complaints)

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.simulate import simulate, simulate_batch
+from labyrinth_sim.stepper import Stepper
+
+TIME = np.arange(151) * 0.01
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return load_model("labyrinth_manual")
+
+
+@pytest.fixture(scope="module")
+def commands() -> np.ndarray:
+    """(151, 2) rad: steps of both axes."""
+    u = np.full((len(TIME), 2), np.radians(2.5))
+    u[10:60, 0] *= -1
+    u[40:90, 1] *= -1
+    return u
+
+
+def test_a_servo_reaches_its_target(model: Model, commands: np.ndarray) -> None:
+    trials = simulate(model, TIME, commands)
+    for signal in ("motor_x", "motor_y", "board_x", "board_y"):
+        assert trials.values[0, -1, trials.index(signal)] == pytest.approx(np.radians(2.5), abs=1e-3)
+
+
+def test_threads_do_not_change_a_bit(model: Model, commands: np.ndarray) -> None:
+    rich = model.with_effect("load_friction", "x").with_effect("backlash", "y")
+    values = np.linspace(5, 20, 7)[:, None]
+    one, three = (
+        simulate_batch(rich, ["drive.x.p"], values, TIME, [commands, -commands], nthread=n).values for n in (1, 3)
+    )
+    assert np.array_equal(one, three)
+
+
+def test_a_batch_is_its_simulations(model: Model, commands: np.ndarray) -> None:
+    names, values = ["drive.x.p", "joint.motor_y.armature"], np.array([[5.0, 0.02], [12.0, 0.005]])
+    batch = simulate_batch(model, names, values, TIME, commands[None])
+    for i, row in enumerate(values):
+        alone = simulate(model.with_values(dict(zip(names, row, strict=True))), TIME, commands)
+        assert np.array_equal(batch.values[i, 0], alone.values[0])
+
+
+@pytest.mark.parametrize("ball", [False, True])
+def test_the_live_stepper_is_the_batch(model: Model, commands: np.ndarray, ball: bool) -> None:
+    rich = model.with_effect("load_friction", "x").with_effect("sensor_bias", "board_y").with_effect("command_delay", "y")
+    rich = rich.with_effect("camera_latency", "ball")
+    block = commands.copy()
+    block[100:120, 0] = np.nan
+    whole = simulate(rich, TIME, block, with_ball=ball).values[0]
+    stepper = Stepper(rich, with_ball=ball)
+    live = [stepper.reset(first_command=block[0])] + [stepper.advance(u) for u in block[:-1]]
+    assert np.array_equal(whole, np.array(live))
+
+
+def test_a_drive_switched_off_lets_go(model: Model) -> None:
+    off = np.full((len(TIME), 2), np.nan)
+    trials = simulate(model, TIME, off, {"motor_x": 0.05, "motor_x_velocity": 0.2})
+    assert np.abs(trials.values[0, :, trials.index("motor_x_effort")]).max() == 0.0
+    assert trials.values[0, 20, trials.index("motor_x")] > 0.06
+
+
+def test_one_divergence_leaves_the_others_alone(model: Model, commands: np.ndarray) -> None:
+    names = ["joint.motor_x.armature", "drive.x.p"]
+    values = np.array([[0.01, 5.0], [0.01, -25.0], [0.01, 7.0]])
+    long = np.tile(commands, (20, 1))
+    time = np.arange(len(long)) * 0.01
+    batch = simulate_batch(model, names, values, time, long[None])
+    alone = simulate_batch(model, names, values[[0, 2]], time, long[None])
+    assert np.array_equal(batch.values[[0, 2]], alone.values)
+
+
+def test_all_complaints_come_at_once(model: Model, commands: np.ndarray) -> None:
+    with pytest.raises(InputError) as caught:
+        simulate_batch(model, ["drive.x.q", "drive.z.p"], [[1.0, 2.0]], TIME, commands[None, :, :1], {"motor_z": 0.0})
+    assert len(caught.value.complaints) == 4
+    assert "drive.x.p" in str(caught.value)
