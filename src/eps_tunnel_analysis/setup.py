@@ -16,7 +16,10 @@ def relative(path: Path) -> str:
 def tree(folder: Path, target: str) -> list[tuple[str, list[str]]]:
     """Every file under `folder` as data files under `target`, folder by folder."""
     return [
-        (str(Path(target) / parent.relative_to(folder)), sorted(relative(file) for file in parent.iterdir() if file.is_file()))
+        (
+            str(Path(target) / parent.relative_to(folder)),
+            sorted(relative(file) for file in parent.iterdir() if file.is_file()),
+        )
         for parent in (folder, *sorted(path for path in folder.rglob("*") if path.is_dir()))
         if folder.is_dir() and parent.name != "__pycache__"
     ]
@@ -31,16 +34,36 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/eps_tunnel_analysis"]),
         ("share/eps_tunnel_analysis", ["package.xml"]),
         *tree(HERE / "launch", "share/eps_tunnel_analysis/launch"),
-        *(entry for kind in ("sequences",) for entry in tree(CONFIG / kind, f"share/eps_tunnel_analysis/config/{kind}")),
+        *(
+            entry
+            for kind in ("sequences",)
+            for entry in tree(CONFIG / kind, f"share/eps_tunnel_analysis/config/{kind}")
+        ),
         # colcon puts an installed bin/ on PATH, so `eps-tunnel` needs no `ros2 run`.
         ("bin", [relative(HERE / "scripts" / "eps-tunnel")]),
     ],
-    install_requires=["cma", "jinja2", "labyrinth_sim", "lz4", "matplotlib", "mcap", "mujoco", "numpy", "plotly", "pyyaml", "rich", "rosbags", "scipy", "tqdm", "zstandard"],
+    install_requires=[
+        "cma",
+        "jinja2",
+        "labyrinth_sim",
+        "lz4",
+        "matplotlib",
+        "mcap",
+        "mujoco",
+        "numpy",
+        "plotly",
+        "pyyaml",
+        "rich",
+        "rosbags",
+        "scipy",
+        "tqdm",
+        "zstandard",
+    ],
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@users.noreply.github.com",
-    description="How far a simulation is from a real rig, where, which physical effect the model lacks, and the proof that adding it helps.",
+    description="How far a simulation is from a real rig, where, and which physical effect the model lacks.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -16,7 +16,10 @@ def relative(path: Path) -> str:
 def tree(folder: Path, target: str) -> list[tuple[str, list[str]]]:
     """Every file under `folder` as data files under `target`, folder by folder."""
     return [
-        (str(Path(target) / parent.relative_to(folder)), sorted(relative(file) for file in parent.iterdir() if file.is_file()))
+        (
+            str(Path(target) / parent.relative_to(folder)),
+            sorted(relative(file) for file in parent.iterdir() if file.is_file()),
+        )
         for parent in (folder, *sorted(path for path in folder.rglob("*") if path.is_dir()))
         if folder.is_dir() and parent.name != "__pycache__"
     ]
@@ -38,7 +41,7 @@ setup(
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@users.noreply.github.com",
-    description="Servo bus, camera and ball tracker of the labyrinth rig, and an emulated testbed that answers like one.",
+    description="Servo bus, camera and ball tracker of the labyrinth rig, and an emulated testbed.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -16,7 +16,10 @@ def relative(path: Path) -> str:
 def tree(folder: Path, target: str) -> list[tuple[str, list[str]]]:
     """Every file under `folder` as data files under `target`, folder by folder."""
     return [
-        (str(Path(target) / parent.relative_to(folder)), sorted(relative(file) for file in parent.iterdir() if file.is_file()))
+        (
+            str(Path(target) / parent.relative_to(folder)),
+            sorted(relative(file) for file in parent.iterdir() if file.is_file()),
+        )
         for parent in (folder, *sorted(path for path in folder.rglob("*") if path.is_dir()))
         if folder.is_dir() and parent.name != "__pycache__"
     ]
@@ -32,7 +35,11 @@ setup(
         ("share/labyrinth_sim", ["package.xml"]),
         *tree(HERE / "launch", "share/labyrinth_sim/launch"),
         ("share/labyrinth_sim/config", sorted(relative(file) for file in CONFIG.glob("*.yaml"))),
-        *(entry for kind in ("rigs", "models", "mjcf") for entry in tree(CONFIG / kind, f"share/labyrinth_sim/config/{kind}")),
+        *(
+            entry
+            for kind in ("rigs", "models", "mjcf")
+            for entry in tree(CONFIG / kind, f"share/labyrinth_sim/config/{kind}")
+        ),
     ],
     install_requires=["mujoco", "numpy", "pyyaml", "scipy"],
     python_requires=">=3.11",

@@ -11,7 +11,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
-            DeclareLaunchArgument("model", default_value="labyrinth", description="Name of a model, or path of its file."),
+            DeclareLaunchArgument(
+                "model", default_value="labyrinth", description="Name of a model, or path of its file."
+            ),
             DeclareLaunchArgument("real_time_factor", default_value="1.0", description="Simulated over real seconds."),
             Node(
                 package="labyrinth_sim",

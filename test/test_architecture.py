@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arrows of docs/architecture.md, read off the imports."""
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("labyrinth_sim", "labyrinth_hw", "eps_tunnel_analysis")
+OURS = {*PACKAGES, "labyrinth_msgs"}
+LONGEST = 400  # lines
+
+# What a package may import of ours, besides itself, outside nodes/ and inside.
+ALLOWED: dict[str, tuple[set[str], set[str]]] = {
+    "labyrinth_sim": (set(), {"labyrinth_msgs"}),
+    "labyrinth_hw": (set(), {"labyrinth_msgs"}),
+    "eps_tunnel_analysis": ({"labyrinth_sim"}, {"labyrinth_sim", "labyrinth_msgs"}),
+}
+
+
+def modules(package: str) -> list[Path]:
+    return sorted((ROOT / "src" / package / package).rglob("*.py"))
+
+
+def name_of(file: Path, package: str) -> str:
+    parts = file.relative_to(ROOT / "src" / package).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(file: Path) -> Iterator[str]:
+    """First part of the name of every module that a file imports, wherever in the file."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.split(".")[0]
+
+
+def sources() -> list[Path]:
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True
+    )
+    if listed.returncode:
+        pytest.skip("not a git checkout, so what belongs to the sources is unknown")
+    return [ROOT / line for line in listed.stdout.splitlines() if (ROOT / line).is_file()]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_only_nodes_import_ros(package: str) -> None:
+    ros = {"rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs", "diagnostic_msgs", "labyrinth_msgs"}
+    wrong = {
+        str(file.relative_to(ROOT)): sorted(found)
+        for file in modules(package)
+        if "nodes" not in file.relative_to(ROOT).parts and (found := ros & set(imported(file)))
+    }
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_import_only_along_the_arrows(package: str) -> None:
+    outside, inside = ALLOWED[package]
+    wrong = {}
+    for file in modules(package):
+        allowed = inside if "nodes" in file.relative_to(ROOT).parts else outside
+        if found := (OURS & set(imported(file))) - allowed - {package}:
+            wrong[str(file.relative_to(ROOT))] = sorted(found)
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_everything_but_nodes_imports_without_ros(package: str) -> None:
+    names = [name_of(file, package) for file in modules(package)]
+    names = [name for name in names if "nodes" not in name.split(".") and not name.endswith("__main__")]
+    paths = [str(ROOT / "src" / p) for p in PACKAGES]
+    program = f"""
+import importlib, sys
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("rclpy", "labyrinth_msgs"):
+            raise ImportError(name + " is blocked")
+sys.meta_path.insert(0, Blocked())
+sys.path[:0] = {paths!r}
+for name in {names!r}:
+    try:
+        importlib.import_module(name)
+    except Exception as error:
+        print(f"{{name}}: {{type(error).__name__}}: {{error}}")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_source_file_is_long(package: str) -> None:
+    lengths = {
+        str(file.relative_to(ROOT)): len(file.read_text(encoding="utf-8").splitlines())
+        for file in (ROOT / "src" / package).rglob("*.py")
+    }
+    assert {file: length for file, length in lengths.items() if length > LONGEST} == {}
+
+
+def test_no_file_names_a_path_of_one_machine() -> None:
+    path = re.compile(r"(?<![\w.])/(?:work|root|home/\w+|Users/\w+)/")
+    wrong = [
+        f"{file.relative_to(ROOT)}:{number}"
+        for file in sources()
+        if file.suffix in {".py", ".md", ".yaml", ".yml", ".toml", ".txt", ".xml", ".bash", ".cfg", ""}
+        for number, line in enumerate(file.read_text(encoding="utf-8", errors="replace").splitlines(), 1)
+        if path.search(line) and file != Path(__file__).resolve()
+    ]
+    assert not wrong
+
+
+def test_python_files_carry_their_licence() -> None:
+    first = "# SPDX-License-Identifier: Apache-2.0"
+    wrong = []
+    for file in sources():
+        if file.suffix == ".py":
+            lines = [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("#!")]
+            if lines and lines[0] != first:
+                wrong.append(str(file.relative_to(ROOT)))
+    assert not wrong
+
+
+def test_versions_are_pinned_once() -> None:
+    names = []
+    for file in ("requirements.txt", "requirements-ros.txt"):
+        lines = [line.split("#")[0].strip() for line in (ROOT / file).read_text().splitlines()]
+        for line in filter(None, lines):
+            match = re.fullmatch(r"([A-Za-z0-9._-]+)(?:\[[\w,-]+\])?==\S+", line)
+            assert match, f"{file}: '{line}' is not pinned as NAME==VERSION"
+            names.append(match[1].lower().replace("_", "-"))
+    assert len(set(names)) == len(names)

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-in for `ros2`, as processes against a node that is really there."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROS2 = Path(__file__).resolve().parents[1] / "tools" / "bin" / "ros2"
+ENVIRONMENT = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "91"}
+
+NODE = """
+import rclpy
+from labyrinth_msgs.action import PlaySequence
+from labyrinth_msgs.msg import BallState
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.action import ActionServer
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+rclpy.init()
+node = rclpy.create_node("rig", namespace="/real")
+node.declare_parameter("rate", 50.0, ParameterDescriptor(
+    floating_point_range=[FloatingPointRange(from_value=1.0, to_value=200.0)]))
+node.declare_parameter("axes", ["x", "y"])
+latched = node.create_publisher(String, "note", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+latched.publish(String(data="said once"))
+ball = node.create_publisher(BallState, "ball", 10)
+state = BallState(visible=True, x=0.125, y=0.0625)
+state.header.frame_id = "board"
+node.create_timer(0.02, lambda: ball.publish(state))
+
+def arm(request, response):
+    response.success, response.message = request.data, "armed" if request.data else "not armed"
+    return response
+
+def play(handle):
+    handle.publish_feedback(PlaySequence.Feedback(trials=handle.request.trials, phase="playing", progress=0.5))
+    handle.succeed()
+    return PlaySequence.Result(success=True, message="played " + handle.request.sequence, bags=["a.mcap"])
+
+node.create_service(SetBool, "arm", arm)
+server = ActionServer(node, PlaySequence, "/play_sequence", play)
+print("ready", flush=True)
+rclpy.spin(node)
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rig() -> Iterator[None]:
+    process = subprocess.Popen([sys.executable, "-c", NODE], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline() == "ready\n"
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def ros2(*arguments: str, stdin: str | None = None, **environment: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of one command."""
+    done = subprocess.run(
+        [sys.executable, str(ROS2), *arguments],
+        env={**ENVIRONMENT, **environment},
+        input=stdin,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def listed(*arguments: str, line: str) -> list[str]:
+    """Lines of a listing, asked for again until discovery has brought `line`."""
+    for _ in range(20):
+        code, out, _ = ros2(*arguments)
+        assert code == 0
+        if line in out.splitlines():
+            break
+    return out.splitlines()
+
+
+def test_topic_list_shows_names_and_types() -> None:
+    lines = listed("topic", "list", "-t", line="/real/ball [labyrinth_msgs/msg/BallState]")
+    assert "/real/ball [labyrinth_msgs/msg/BallState]" in lines
+    assert "/real/note [std_msgs/msg/String]" in lines
+    assert not any("/_" in line for line in lines)
+
+
+def test_topic_echo_prints_a_message_as_yaml_and_a_separator() -> None:
+    code, out, _ = ros2("topic", "echo", "--once", "/real/ball")
+    body, separator, rest = out.partition("---\n")
+    assert (code, separator, rest) == (0, "---\n", "")
+    assert out.startswith("header:\n  stamp:\n    sec: 0\n    nanosec: 0\n  frame_id: board\nvisible: true\nx: 0.125\n")
+    assert yaml.safe_load(body)["y"] == 0.0625
+
+
+def test_topic_echo_selects_fields_and_writes_csv() -> None:
+    assert ros2("topic", "echo", "--once", "/real/ball", "--field", "header.frame_id") == (0, "board\n---\n", "")
+    assert ros2("topic", "echo", "--once", "/real/ball", "--csv") == (0, "0,0,board,True,0.125,0.0625\n", "")
+    code, _, err = ros2("topic", "echo", "--once", "/real/ball", "--field", "nope")
+    assert (code, err.splitlines()[0].startswith("Invalid field 'nope':")) == (1, True)
+
+
+def test_topic_echo_reaches_a_latched_message_said_before() -> None:
+    assert ros2("topic", "echo", "--once", "/real/note") == (0, "data: said once\n---\n", "")
+
+
+def test_topic_echo_of_an_unknown_topic_fails_as_the_real_one() -> None:
+    code, out, err = ros2("topic", "echo", "/nope")
+    assert (code, err) == (1, "Could not determine the type for the passed topic\n")
+    assert out == "WARNING: topic [/nope] does not appear to be published yet\n"
+
+
+def test_topic_info_counts_the_ends() -> None:
+    code, out, _ = ros2("topic", "info", "/real/ball")
+    assert (code, out) == (0, "Type: labyrinth_msgs/msg/BallState\nPublisher count: 1\nSubscription count: 0\n")
+    assert ros2("topic", "info", "/nope")[::2] == (1, "Unknown topic '/nope'\n")
+    assert ros2("topic", "type", "/real/ball")[:2] == (0, "labyrinth_msgs/msg/BallState\n")
+
+
+def test_topic_hz_reports_until_interrupted() -> None:
+    process = subprocess.Popen(
+        [sys.executable, str(ROS2), "topic", "hz", "/real/ball"], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        first, second = process.stdout.readline(), process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert first.startswith("average rate: ")
+    assert float(first.removeprefix("average rate: ")) > 0
+    assert second.startswith("\tmin: ")
+    assert "window: " in second
+
+
+def test_topic_pub_reaches_a_subscriber_and_refuses_a_wrong_field() -> None:
+    listener = subprocess.Popen(
+        [sys.executable, str(ROS2), "topic", "echo", "--once", "/said", "labyrinth_msgs/msg/Srg"],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        code, out, _ = ros2(
+            "topic", "pub", "--once", "/said", "labyrinth_msgs/msg/Srg", "{header: auto, signals: [a, b], k: [1, 2]}"
+        )
+        heard, _ = listener.communicate(timeout=60)
+    finally:
+        listener.kill()
+    assert code == 0
+    assert "publishing #1: labyrinth_msgs.msg.Srg(" in out
+    message = yaml.safe_load(heard.partition("---\n")[0])
+    assert (message["signals"], message["k"]) == (["a", "b"], [1.0, 2.0])
+    assert message["header"]["stamp"]["sec"] > 0
+    code, _, err = ros2("topic", "pub", "-w", "0", "--times", "1", "/said", "std_msgs/msg/String", "{text: x}")
+    assert code == 1
+    assert err.startswith("Failed to populate field: ")
+    assert ros2("topic", "pub", "/said", "no/such")[::2] == (1, "The passed message type is invalid\n")
+
+
+def test_node_list_names_the_node_once() -> None:
+    assert listed("node", "list", line="/real/rig") == ["/real/rig"]
+
+
+def test_parameters_are_listed_read_and_set() -> None:
+    code, out, _ = ros2("param", "list", "/real/rig")
+    assert code == 0
+    assert {"  axes", "  rate"} <= set(out.splitlines())
+    assert ros2("param", "get", "/real/rig", "axes")[:2] == (0, "String values are: ['x', 'y']\n")
+    assert ros2("param", "set", "/real/rig", "rate", "20.0")[:2] == (0, "Set parameter successful\n")
+    assert ros2("param", "get", "/real/rig", "rate")[:2] == (0, "Double value is: 20.0\n")
+
+
+def test_a_refused_parameter_tells_the_reason() -> None:
+    code, out, err = ros2("param", "set", "/real/rig", "rate", "999.0")
+    assert (code, out) == (0, "")
+    assert err.startswith("Setting parameter failed: ")
+    assert ros2("param", "get", "/nope", "rate")[::2] == (1, "Node not found\n")
+
+
+def test_service_call_prints_request_and_response() -> None:
+    code, out, _ = ros2("service", "call", "/real/arm", "std_srvs/srv/SetBool", "{data: true}")
+    assert code == 0
+    assert "requester: making request: std_srvs.srv.SetBool_Request(data=True)\n" in out
+    assert out.endswith("response:\nstd_srvs.srv.SetBool_Response(success=True, message='armed')\n\n")
+    arm = "/real/arm [std_srvs/srv/SetBool]"
+    assert arm in listed("service", "list", "-t", line=arm)
+    assert ros2("service", "call", "/real/arm", "std_srvs/srv/No")[::2] == (1, "The passed service type is invalid\n")
+
+
+def test_action_send_goal_prints_feedback_and_result() -> None:
+    code, out, _ = ros2(
+        "action", "send_goal", "-f", "/play_sequence", "labyrinth_msgs/action/PlaySequence", "{sequence: p, trials: 3}"
+    )
+    assert code == 0
+    for part in ("Goal accepted with ID: ", "Feedback:\n    trial: 0\ntrials: 3\n", "message: played p\n"):
+        assert part in out
+    assert out.endswith("Goal finished with status: SUCCEEDED\n")
+    play = "/play_sequence [labyrinth_msgs/action/PlaySequence]"
+    assert listed("action", "list", "-t", line=play) == [play]
+
+
+def test_interface_show_unfolds_nested_types() -> None:
+    code, out, _ = ros2("interface", "show", "--no-comments", "labyrinth_msgs/msg/BallEvent")
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[:4] == [
+        "uint8 LOST=0",
+        "uint8 SUPPLIED=1",
+        "std_msgs/Header header",
+        "\tbuiltin_interfaces/Time stamp",
+    ]
+    assert ros2("interface", "show", "nope/msg/No")[::2] == (1, "Unknown package 'nope'\n")
+
+
+def test_unknown_words_are_usage_errors() -> None:
+    for words in (["nope"], ["topic", "nope"], ["topic", "echo"], ["topic", "list", "--nope"]):
+        code, out, err = ros2(*words)
+        assert (code, out) == (2, "")
+        assert err.startswith("usage: ros2")
+    code, _, err = ros2("bag", "record")
+    assert code == 2
+    assert "ros2bag" in err
+
+
+def test_help_is_no_error() -> None:
+    for words in ([], ["-h"], ["topic"], ["topic", "echo", "-h"]):
+        code, out, err = ros2(*words)
+        assert (code, out[:11], err) == (0, "usage: ros2", "")
+
+
+@pytest.fixture
+def prefix(tmp_path: Path) -> str:
+    """AMENT_PREFIX_PATH with one more package, whose executable tells its arguments and waits for a signal."""
+    marker = tmp_path / "share" / "ament_index" / "resource_index" / "packages" / "tiny"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    executable = tmp_path / "lib" / "tiny" / "wait"
+    executable.parent.mkdir(parents=True)
+    executable.write_text(
+        textwrap.dedent(f"""\
+        #!{sys.executable}
+        import os, signal, sys
+        if "--fail" in sys.argv:
+            sys.exit(3)
+        print(os.getpid(), *sys.argv[1:], flush=True)
+        signal.pause()
+        """)
+    )
+    executable.chmod(0o755)
+    return os.pathsep.join([str(tmp_path), os.environ["AMENT_PREFIX_PATH"]])
+
+
+def test_run_becomes_the_node_so_signals_reach_it(prefix: str) -> None:
+    process = subprocess.Popen(
+        [sys.executable, str(ROS2), "run", "tiny", "wait", "--ros-args", "-p", "a:=1"],
+        env={**ENVIRONMENT, "AMENT_PREFIX_PATH": prefix},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == f"{process.pid} --ros-args -p a:=1\n"
+        process.terminate()
+        assert process.wait(timeout=60) == -signal.SIGTERM
+    finally:
+        process.kill()
+
+
+def test_run_passes_the_exit_code_on_and_names_what_is_missing(prefix: str) -> None:
+    assert ros2("run", "tiny", "wait", "--fail", AMENT_PREFIX_PATH=prefix)[0] == 3
+    assert ros2("run", "tiny", "nope", AMENT_PREFIX_PATH=prefix)[::2] == (1, "No executable found\n")
+    assert ros2("run", "nope", "wait", AMENT_PREFIX_PATH=prefix)[::2] == (1, "Package 'nope' not found\n")
+    assert ros2("pkg", "executables", "tiny", AMENT_PREFIX_PATH=prefix)[:2] == (0, "tiny wait\n")
+    assert ros2("pkg", "prefix", "nope")[::2] == (1, "Package not found\n")
