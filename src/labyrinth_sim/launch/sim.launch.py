@@ -9,23 +9,16 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 
 def generate_launch_description() -> LaunchDescription:
+    factor = ParameterValue(LaunchConfiguration("real_time_factor"), value_type=float)
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "model", default_value="labyrinth", description="Name of a model, or path of its file."
-            ),
+            DeclareLaunchArgument("model", default_value="labyrinth", description="Name or path of a model."),
             DeclareLaunchArgument("real_time_factor", default_value="1.0", description="Simulated over real seconds."),
             Node(
                 package="labyrinth_sim",
                 executable="sim_node",
-                name="sim_node",
                 output="screen",
-                parameters=[
-                    {
-                        "model": LaunchConfiguration("model"),
-                        "real_time_factor": ParameterValue(LaunchConfiguration("real_time_factor"), value_type=float),
-                    }
-                ],
+                parameters=[{"model": LaunchConfiguration("model"), "real_time_factor": factor}],
             ),
         ]
     )

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Both sides, the analysis and the player.
+
+On the emulated rig: `ros2 launch eps_tunnel_analysis study.launch.py sequence:=paper_8s record:=true`.
+On a real one: `... emulated:=false hw_config:=/path/to/my_rig.yaml`.
+Without a sequence the player waits for goals on /play_sequence.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.conditions import IfCondition, UnlessCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+ARGUMENTS = {
+    "emulated": ("true", "Whether the emulated testbed stands in for the rig."),
+    "testbed_config": ("paper", "Name or path of a config/testbed file, where emulated."),
+    "hw_config": ("paper", "Name or path of a config/hw file."),
+    "model": ("labyrinth", "Name or path of the model that is compared with the rig."),
+    "sequence": ("", "Name or path of a sequence to play at once; empty: wait for goals."),
+    "trials": ("0", "Number of trials; 0: as the sequence says."),
+    "record": ("false", "Whether one bag per side is recorded."),
+    "folder": ("", "Folder for the bags; empty: a new one under out/."),
+}
+
+
+def part(package: str, file: str, arguments: dict[str, str], condition: object = None) -> IncludeLaunchDescription:
+    """Another launch file, with its arguments taken from ours."""
+    path = PathJoinSubstitution([FindPackageShare(package), "launch", file])
+    given = {name: LaunchConfiguration(ours) for name, ours in arguments.items()}
+    return IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(path), launch_arguments=given.items(), condition=condition
+    )
+
+
+def generate_launch_description() -> LaunchDescription:
+    emulated = LaunchConfiguration("emulated")
+    play = {
+        "sequence": ParameterValue(LaunchConfiguration("sequence"), value_type=str),
+        "trials": ParameterValue(LaunchConfiguration("trials"), value_type=int),
+        "record": ParameterValue(LaunchConfiguration("record"), value_type=bool),
+        "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
+    }
+    testbed = {"config": "testbed_config", "hw_config": "hw_config"}
+    return LaunchDescription(
+        [
+            *(DeclareLaunchArgument(n, default_value=v, description=d) for n, (v, d) in ARGUMENTS.items()),
+            part("labyrinth_hw", "testbed.launch.py", testbed, IfCondition(emulated)),
+            part("labyrinth_hw", "hw.launch.py", {"config": "hw_config"}, UnlessCondition(emulated)),
+            part("labyrinth_sim", "sim.launch.py", {"model": "model"}),
+            Node(package="eps_tunnel_analysis", executable="analysis_node", output="screen"),
+            Node(package="eps_tunnel_analysis", executable="player", output="screen", parameters=[play]),
+        ]
+    )
