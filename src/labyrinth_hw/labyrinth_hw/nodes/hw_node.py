@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The real rig as a ROS node: the same topics as the simulation, under /real."""
+
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Mapping
+from math import nan
+from types import FrameType
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from labyrinth_msgs.msg import BallEvent
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from labyrinth_hw.errors import HardwareError, InputError
+from labyrinth_hw.hardware import Hardware, Measurement, load_hardware
+from labyrinth_hw.safety import Command, State
+
+RELIABLE = QoSProfile(depth=50)
+BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+class HwNode(Node):
+    """Drives the servos in a thread of its own, one control period after the other, and publishes what they tell."""
+
+    def __init__(self) -> None:
+        super().__init__("hw_node")
+        config = self._declare("config", "paper", "name or path of a config/hw/*.yaml [-]")
+        prefix = str(self._declare("namespace", "/real", "prefix of the topics [-]")).rstrip("/")
+        rate = self._declare("rate", 100.0, "control periods per second [Hz]", 10.0, 500.0)
+        timeout = self._declare("command_timeout", 0.2, "age at which a command is old and motion stops [s]", 0.02, 5.0)
+        dry_run = self._declare("dry_run", False, "read everything but move nothing [-]")
+        position_error = self._declare("compensate_position_error", False, "correct goals by the calibrated error map [-]")
+        slack = self._declare("compensate_slack", False, "correct goals by the calibrated slack of the belt [-]")
+        self._refuse_unknown_parameters()
+        self._settings = load_hardware(str(config))
+        self._timeout = float(timeout)
+        self._period = 1.0 / float(rate)
+        self.hardware = Hardware(
+            self._settings, period=self._period, timeout=self._timeout, dry_run=bool(dry_run),
+            position_error=bool(position_error), slack=bool(slack),
+        )  # fmt: skip
+        self._lock = threading.Lock()
+        self._command: Command | None = None
+        self._goals: dict[str, float] = {}
+        self._orders: list[str] = []
+        self._pub = {"cycles": 0, "late": 0, "silent": 0, "refused": 0}
+        self._piezo: int | None = None
+        self._told = State.WAITING
+        self._stop = threading.Event()
+        qos: dict[str, Any] = {"qos_profile": RELIABLE, "qos_overriding_options": QoSOverridingOptions.with_default_policies()}
+        self._states = self.create_publisher(JointState, f"{prefix}/joint_states", **qos)
+        self._events = self.create_publisher(BallEvent, f"{prefix}/ball_event", **qos)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.hardware.connect()
+        self._thread = threading.Thread(target=self._control, name="control", daemon=True)
+        self.create_subscription(JointState, f"{prefix}/joint_commands", self._commanded, **qos)
+        self.create_service(Trigger, f"{prefix}/reset", self._reset)
+        self.create_service(Trigger, f"{prefix}/supply_ball", self._supply)
+        self.create_timer(1.0, self._report)
+        motors = ", ".join(f"{m.name} ({m.model.name}, id {m.id})" for m in self._settings.motors)
+        bus = self.hardware.bus
+        self.get_logger().info(
+            f"{motors} on {self._settings.servo_port}, {self._settings.baud} baud: one cycle takes {bus.cycle * 1e3:.1f} ms of bus "
+            f"time in a period of {self._period * 1e3:g} ms.{' Dry run: nothing will move.' if dry_run else ''}"
+        )
+        self._thread.start()
+
+    def _declare(self, name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
+        descriptor = ParameterDescriptor(description=text, read_only=True)
+        if low is not None and high is not None:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
+        return self.declare_parameter(name, default, descriptor).value
+
+    def _refuse_unknown_parameters(self) -> None:
+        unknown = [n for n in self._parameter_overrides if not self.has_parameter(n) and not n.startswith(BUILT_IN)]
+        if unknown:
+            valid = sorted(n for n in self._parameters if not n.startswith(BUILT_IN))
+            raise InputError(f"Unknown parameters {unknown}. Available parameters: {', '.join(valid)}.")
+
+    def _commanded(self, message: JointState) -> None:
+        goals = dict(zip(message.name, message.position, strict=False))
+        stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        age = self.get_clock().now().nanoseconds * 1e-9 - stamp if stamp else 0.0
+        try:
+            if len(message.name) != len(message.position):
+                raise InputError(f"{len(message.name)} names but {len(message.position)} positions.")
+            if age > self._timeout:
+                raise InputError(f"Its stamp is {age:.3f} s old; more than {self._timeout:g} s is too late to obey.")
+            self.hardware.safety.check(goals)
+        except InputError as error:
+            self._pub["refused"] += 1
+            self.get_logger().warning(f"Refused a command: {error}", throttle_duration_sec=1.0)
+            return
+        with self._lock:
+            self._goals.update(goals)
+            if len(self._goals) == len(self._settings.motors):
+                # Time spent on the way counts, where the sender's clock tells it.
+                self._command = Command(dict(self._goals), time.monotonic() - max(0.0, age))
+
+    def _control(self) -> None:
+        due = time.monotonic()
+        try:
+            while not self._stop.is_set():
+                self._obey_orders()
+                with self._lock:
+                    command = self._command
+                measured = self.hardware.cycle(command)
+                self._pub["cycles"] += 1
+                if measured is None:
+                    self._pub["silent"] += 1
+                elif rclpy.ok():
+                    self._publish(measured)
+                self._tell_state()
+                due += self._period
+                left = due - time.monotonic()
+                if left > 0:
+                    self._stop.wait(left)
+                elif left < -self._period:
+                    self._pub["late"] += 1
+                    due = time.monotonic()
+        except BaseException as error:
+            if not self._stop.is_set():
+                self.get_logger().fatal(f"The control thread ended, torque goes off:\n{''.join(traceback.format_exception(error))}")
+                rclpy.try_shutdown()
+        finally:
+            self.hardware.close()
+
+    def _obey_orders(self) -> None:
+        with self._lock:
+            orders, self._orders = self._orders, []
+        for order in orders:
+            try:
+                if order == "reset":
+                    self.get_logger().info(f"Reset: {self.hardware.reset()}.")
+                else:
+                    self.hardware.supply_ball()
+                    self._event(BallEvent.SUPPLIED)
+            except HardwareError as error:
+                self.get_logger().error(f"{order}: {error}")
+
+    def _publish(self, measured: Measurement) -> None:
+        offset = self.get_clock().now().nanoseconds * 1e-9 - time.monotonic()
+        message = JointState()
+        message.header.stamp = _time(measured.stamp + offset)
+        for name, motor in measured.motors.items():
+            message.name.append(name)
+            message.position.append(motor.position)
+            message.velocity.append(nan if motor.speed is None else motor.speed)
+            message.effort.append(nan if motor.effort is None else motor.effort)
+        board = measured.board
+        for name, angle in zip(self._settings.potentiometers, (board.x, board.y) if board else (nan, nan), strict=False):
+            message.name.append(name)
+            message.position.append(angle)
+            message.velocity.append(nan)
+            message.effort.append(nan)
+        self._states.publish(message)
+        if board is not None:
+            if self._piezo is not None and board.piezo != self._piezo:
+                self._event(BallEvent.LOST)
+            self._piezo = board.piezo
+
+    def _event(self, kind: int) -> None:
+        event = BallEvent(kind=kind, hole=-1)
+        event.header.stamp, event.header.frame_id = self.get_clock().now().to_msg(), "board"
+        self._events.publish(event)
+
+    def _tell_state(self) -> None:
+        state = self.hardware.safety.state
+        if state is not self._told:
+            self._told = state
+            if state is State.STOPPED:
+                self.get_logger().error(f"Torque is off until reset: {'; '.join(self.hardware.safety.reasons)}.")
+            else:
+                self.get_logger().info(state.value)
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        with self._lock:
+            self._orders.append("reset")
+            self._command = None
+            self._goals.clear()
+        response.success, response.message = True, "Torque stays off until the next valid command."
+        return response
+
+    def _supply(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self.hardware.sensors_connected
+        response.message = "The depot releases a ball." if response.success else "The sensor line is not connected."
+        if response.success:
+            with self._lock:
+                self._orders.append("supply_ball")
+        return response
+
+    def _report(self) -> None:
+        hw, counters = self.hardware, self.hardware.bus.counters
+        level = DiagnosticStatus.OK
+        if not hw.connected or hw.safety.state is State.STOPPED:
+            level = DiagnosticStatus.ERROR
+        elif not hw.sensors_connected and hw.sensors is not None:
+            level = DiagnosticStatus.WARN
+        text = "; ".join(hw.safety.reasons) or hw.safety.state.value if hw.connected else f"disconnected: {hw.trouble}"
+        status = DiagnosticStatus(level=level, name=f"{self.get_name()}: servos", message=text, hardware_id=self._settings.servo_port)
+        values: dict[str, object] = {
+            "state": hw.safety.state.name.lower(),
+            "packets sent": counters.sent, "packets lost": counters.lost, "packets damaged": counters.corrupt,
+            "retries": counters.retried, "failures": counters.failed, "reconnects": hw.reconnects,
+            "bus time of a cycle [ms]": f"{hw.bus.cycle * 1e3:.2f}",
+            "cycles": self._pub["cycles"], "cycles late": self._pub["late"], "cycles without servos": self._pub["silent"],
+            "commands refused": self._pub["refused"], "last trouble": hw.trouble,
+        }  # fmt: skip
+        for name, motor in hw.slow.items():
+            values[f"{name} voltage [V]"] = f"{motor.voltage:.1f}"
+            values[f"{name} temperature [degC]"] = f"{motor.temperature:.0f}"
+            values[f"{name} alarm"] = self._meaning(motor.alarm, hw.safety.meanings.get(name, {}))
+        if hw.sensors is not None:
+            values |= {"sensor requests": hw.sensors.asked, "sensor answers lost": hw.sensors.lost, "sensor lines damaged": hw.sensors.damaged}
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _meaning(self, alarm: int, meanings: Mapping[int, str]) -> str:
+        return "; ".join(text for bit, text in meanings.items() if alarm & bit) or "none"
+
+    def close(self) -> None:
+        """Torque off, ports closed."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
+
+
+def _time(seconds: float) -> Time:
+    nanoseconds = round(seconds * 1e9)
+    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def main() -> None:
+    """Run the node until it is interrupted; exit code 2 for bad parameters or hardware that does not answer."""
+
+    def terminated(number: int, frame: FrameType | None) -> None:
+        rclpy.try_shutdown()
+
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, terminated)
+    try:
+        node = HwNode()
+    except Exception as error:  # parameters or hardware that ROS or we refuse
+        print(f"hw_node: {error}", file=sys.stderr)
+        rclpy.try_shutdown()
+        sys.exit(2)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.close()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

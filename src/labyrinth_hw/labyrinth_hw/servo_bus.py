@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Servos on one bus, by name, in SI units, on top of the Dynamixel SDK."""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import serial
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler
+
+from labyrinth_hw.bus_time import block, cycle_time
+from labyrinth_hw.control_tables import PROTOCOL_2_PACKET_ERRORS, ServoModel, servo_model
+from labyrinth_hw.errors import BusError, InputError, PortError, unknown_name
+from labyrinth_hw.serial_line import Port
+
+RETRIES = 2
+STATE = ("present_position", "present_speed", "effort")
+HEALTH = ("present_voltage", "present_temperature")
+
+
+@dataclass(frozen=True)
+class Motor:
+    """One servo on the bus.
+
+    Attributes:
+        name: joint name.
+        id: bus id.
+        model: its control table.
+        sign: +1, or -1 where the servo is mounted the other way round.
+        zero: rad of the servo at joint angle 0.
+    """
+
+    name: str
+    id: int
+    model: ServoModel
+    sign: int = 1
+    zero: float = 0.0
+
+
+@dataclass(frozen=True)
+class MotorState:
+    """What one servo told in one answer; None where a value was not read this time.
+
+    Attributes:
+        stamp: s, `time.monotonic()` at the middle of the exchange.
+        position: rad, joint side.
+        speed: rad/s.
+        effort: N m, nominal: the load share or the current times the manual's torque.
+        voltage: V.
+        temperature: degC.
+        alarm: bits of the error register (see `ServoModel.shutdown`); 0 is healthy.
+    """
+
+    stamp: float
+    position: float
+    speed: float | None = None
+    effort: float | None = None
+    voltage: float | None = None
+    temperature: float | None = None
+    alarm: int = 0
+
+
+@dataclass
+class BusCounters:
+    """Packets since the port was opened."""
+
+    sent: int = 0
+    lost: int = 0
+    corrupt: int = 0
+    retried: int = 0
+    failed: int = 0
+    by_motor: dict[str, int] = field(default_factory=dict)
+
+
+class ServoBus:
+    """Named servos on one serial port.
+
+    Args:
+        path: serial device.
+        baud: bits per second.
+        motors: on this bus; all speak the same protocol.
+        period: s, the control period that reads and writes must fit in.
+        patience: s beyond the wire time before an answer counts as lost. USB adapters need their latency timer here.
+    """
+
+    def __init__(self, path: str, baud: int, motors: list[Motor], period: float = 0.01, patience: float = 0.02) -> None:
+        protocols = {motor.model.protocol for motor in motors}
+        if len(protocols) != 1:
+            listing = ", ".join(f"{m.name}: {m.model.name} speaks {m.model.protocol}.0" for m in motors)
+            raise InputError(f"All servos on one bus must speak the same protocol, got {listing or 'no servo at all'}.")
+        self.motors = {motor.name: motor for motor in motors}
+        self.protocol = protocols.pop()
+        self.counters = BusCounters()
+        self.port = Port(path, baud, patience)
+        self.packets = PacketHandler(float(self.protocol))
+        self.period = period
+        self._state_block, self.cycle = cycle_time([m.model for m in motors], baud, period)
+        self._synced: dict[tuple[int, int], GroupSyncRead] = {}
+        self._turn = 0
+
+    def connect(self) -> None:
+        """Open the port, hold it alone, and check that every servo is there and is what was expected.
+
+        Raises:
+            PortError: port missing or in use.
+            BusError: servos missing or of another model; tells expected and found, and what else answers.
+        """
+        self.port.openPort()
+        found: dict[int, int] = {}
+        for motor in self.motors.values():
+            for _ in range(RETRIES + 1):
+                number, result, _ = self._guarded(self.packets.ping, motor.id)
+                if result == COMM_SUCCESS:
+                    found[motor.id] = number
+                    break
+        missing = [m for m in self.motors.values() if m.id not in found]
+        wrong = [m for m in self.motors.values() if m.id in found and found[m.id] != m.model.number]
+        if missing or wrong:
+            expected = ", ".join(f"{m.name}: id {m.id}, {m.model.name} ({m.model.number})" for m in self.motors.values())
+            told = ", ".join(f"id {i}: model number {n}" for i, n in sorted(found.items())) or "nothing"
+            names = ", ".join(m.name for m in missing) or "none"
+            others = ", ".join(m.name for m in wrong) or "none"
+            self.port.closePort()
+            raise BusError(
+                f"{self.port.port_name} at {self.port.baudrate} baud, protocol {self.protocol}.0: "
+                f"missing {names}; wrong model {others}. Expected {expected}. Found {told}. "
+                "Check power, cable, id, baud rate and protocol."
+            )
+        for name in self.motors:
+            self.write(name, "return_delay", 0.0)
+
+    def close(self) -> None:
+        """Close the port; torque stays as it is."""
+        self.port.closePort()
+
+    def motor(self, name: str) -> Motor:
+        """A motor by name. Raises InputError that lists the valid names."""
+        if name not in self.motors:
+            raise InputError(unknown_name("motor", name, self.motors))
+        return self.motors[name]
+
+    def read(self, name: str, register: str) -> float:
+        """A register in SI units. Raises BusError after the retries."""
+        motor = self.motor(name)
+        entry = motor.model.register(register)
+        data, _ = self._read(motor, entry.address, entry.size)
+        return entry.to_si(int.from_bytes(data, "little"))
+
+    def write(self, name: str, register: str, value: float) -> None:
+        """Write a register in SI units. Raises BusError after the retries, or where the servo refuses."""
+        motor = self.motor(name)
+        entry = motor.model.register(register)
+        raw = list(entry.to_raw(value).to_bytes(entry.size, "little"))
+        why = ""
+        for attempt in range(RETRIES + 1):
+            result, error = self._guarded(self.packets.writeTxRx, motor.id, entry.address, entry.size, raw)
+            if result == COMM_SUCCESS:
+                number = error & 0x7F if self.protocol == 2 else error & 0x5C
+                if number:
+                    meaning = PROTOCOL_2_PACKET_ERRORS if self.protocol == 2 else motor.model.shutdown
+                    why = " and ".join(text for bit, text in meaning.items() if (number == bit or (self.protocol == 1 and number & bit)))
+                    raise BusError(f"{name} (id {motor.id}) refused to write {value:g} to {register}: {why or number}.")
+                return
+            why = self._count(motor, result, attempt)
+        raise BusError(f"{name} (id {motor.id}) did not confirm {register} = {value:g} in {RETRIES + 1} tries: {why}.")
+
+    def set_torque(self, on: bool, names: list[str] | None = None) -> None:
+        """Switch torque of these motors, of all if None. Off is tried on every motor before an error is raised."""
+        errors = []
+        for name in names if names is not None else list(self.motors):
+            try:
+                self.write(name, "torque_enable", float(on))
+            except (BusError, PortError) as error:
+                errors.append(str(error))
+        if errors:
+            raise BusError(" ".join(errors))
+
+    def reboot(self, name: str) -> None:
+        """Reboot a servo (protocol 2 only), which clears its alarm. Raises BusError where it does not confirm."""
+        motor = self.motor(name)
+        result, _ = self._guarded(self.packets.reboot, motor.id)
+        if result != COMM_SUCCESS:
+            raise BusError(f"{name} (id {motor.id}) did not reboot: {self.packets.getTxRxResult(result)}")
+
+    @contextmanager
+    def torque_disabled(self) -> Iterator[None]:
+        """Torque off inside the block, and as it was afterwards."""
+        before = [name for name in self.motors if self.read(name, "torque_enable") > 0]
+        self.set_torque(False)
+        try:
+            yield
+        finally:
+            self.set_torque(True, before)
+
+    def set_mode(self, name: str, *, torque_share: float | None = None) -> None:
+        """Position mode, or position mode with limited torque.
+
+        Args:
+            name: motor.
+            torque_share: largest torque as a share of the maximum, 0..1; None for plain position mode.
+        """
+        model = self.motor(name).model
+        if torque_share is not None and not 0 < torque_share <= 1:
+            raise InputError(f"torque_share must lie in (0, 1], got {torque_share:g}.")
+        if model.protocol == 1:
+            self.write(name, "torque_limit", 1.0 if torque_share is None else torque_share)
+            return
+        with self.torque_disabled():
+            limited = torque_share is not None and "goal_current" in model.registers
+            self.write(name, "operating_mode", 5 if limited else 3)
+            if torque_share is not None and not limited:
+                self.write(name, "pwm_limit", torque_share)
+        if torque_share is not None and "goal_current" in model.registers:
+            self.write(name, "goal_current", torque_share * model.stall_torque / model.torque_constant)
+
+    def read_states(self) -> dict[str, MotorState]:
+        """Position of every motor, and what else fits into the period; voltage and temperature of one motor in turn.
+
+        Raises:
+            BusError: a motor did not answer after the retries.
+            PortError: the port is gone.
+        """
+        names = list(self.motors)
+        self._turn = (self._turn + 1) % (10 * len(names))
+        full = names[self._turn // 10] if self._turn % 10 == 0 else None
+        answers = self._read_all(self._state_block, skip=full)
+        if full is not None:
+            answers[full] = self._read_block(self.motors[full], (*STATE, *HEALTH))
+        return {name: self._state(self.motors[name], *answers[name]) for name in names}
+
+    def write_goals(self, goals: Mapping[str, float]) -> None:
+        """Send goal positions, rad at the joint, to all named motors in one packet."""
+        motors = [self.motor(name) for name in goals]
+        entry = motors[0].model.register("goal_position")
+        group = GroupSyncWrite(self.port, self.packets, entry.address, entry.size)
+        for motor in motors:
+            register = motor.model.register("goal_position")
+            raw = register.to_raw(motor.sign * goals[motor.name] + motor.zero)
+            group.addParam(motor.id, list(raw.to_bytes(register.size, "little")))
+        self.counters.sent += 1
+        result = self._guarded(group.txPacket)
+        if result != COMM_SUCCESS:
+            raise BusError(f"Goal positions could not be sent: {self.packets.getTxRxResult(result)}")
+
+    def _read_all(self, what: tuple[str, ...], skip: str | None) -> dict[str, tuple[bytes, int, float]]:
+        motors = [motor for name, motor in self.motors.items() if name != skip]
+        if len(motors) < 2 or not all(motor.model.bulk_read for motor in motors) or len({m.model.name for m in motors}) > 1:
+            return {motor.name: self._read_block(motor, what) for motor in motors}
+        start, length = block(motors[0].model, what)
+        self.counters.sent += 1
+        begun = time.monotonic()
+        if self.protocol == 1:
+            # The SDK's group bulk read passes one argument too many for protocol 1, so its packet handler is asked directly.
+            request = [byte for motor in motors for byte in (length, motor.id, start)]
+            result = self._guarded(self.packets.bulkReadTx, request, len(request))
+        else:
+            result = self._guarded(self.packets.syncReadTx, start, length, [m.id for m in motors], len(motors), False)
+        answers: dict[str, tuple[bytes, int, float]] = {}
+        for motor in motors if result == COMM_SUCCESS else ():
+            data, result, error = self._guarded(self.packets.readRx, motor.id, length)
+            if result != COMM_SUCCESS:
+                self._count(motor, result, 0)
+                break
+            answers[motor.name] = (bytes(data), error, 0.5 * (begun + time.monotonic()))
+        self.port.is_using = False
+        return {m.name: answers[m.name] if m.name in answers else self._read_block(m, what) for m in motors}
+
+    def _read_block(self, motor: Motor, what: tuple[str, ...]) -> tuple[bytes, int, float]:
+        start, length = block(motor.model, what)
+        begun = time.monotonic()
+        data, error = self._read(motor, start, length)
+        return data, error, 0.5 * (begun + time.monotonic())
+
+    def _read(self, motor: Motor, address: int, size: int) -> tuple[bytes, int]:
+        why = ""
+        for attempt in range(RETRIES + 1):
+            data, result, error = self._guarded(self.packets.readTxRx, motor.id, address, size)
+            if result == COMM_SUCCESS and len(data) == size:
+                return bytes(data), error
+            why = self._count(motor, result, attempt)
+        raise BusError(f"{motor.name} (id {motor.id}) did not answer in {RETRIES + 1} tries: {why}.")
+
+    def _state(self, motor: Motor, data: bytes, error: int, stamp: float) -> MotorState:
+        model = motor.model
+        start, _ = block(model, STATE)
+
+        def value(name: str) -> float | None:
+            register = model.register(model.effort_register if name == "effort" else name)
+            at = register.address - start
+            if at < 0 or at + register.size > len(data):
+                return None
+            return register.to_si(int.from_bytes(data[at : at + register.size], "little"))
+
+        position, speed, effort = (value(name) for name in STATE)
+        if position is None:
+            raise BusError(f"{motor.name}: the answer holds no position, only {len(data)} bytes.")
+        alarm = error if self.protocol == 1 else 0
+        if self.protocol == 2 and error & 0x80:
+            alarm = int(self.read(motor.name, "hardware_error"))
+        return MotorState(
+            stamp=stamp,
+            position=motor.sign * (position - motor.zero),
+            speed=None if speed is None else motor.sign * speed,
+            effort=None if effort is None else motor.sign * effort * model.effort_per_unit,
+            voltage=value("present_voltage"),
+            temperature=value("present_temperature"),
+            alarm=alarm,
+        )
+
+    def _guarded(self, call, *arguments):  # type: ignore[no-untyped-def]  # the SDK has no types
+        """Call the SDK; a port that vanished becomes a PortError."""
+        bound = getattr(call, "__self__", None)
+        self.counters.sent += bound is self.packets and call.__name__ not in ("readRx",)
+        try:
+            return call(self.port, *arguments) if bound is self.packets else call(*arguments)
+        except IndexError:
+            # The SDK's ping takes a late, shorter answer for its own and reads beyond its end.
+            self.port.is_using = False
+            return 0, COMM_RX_CORRUPT, 0
+        except (OSError, serial.SerialException, TypeError) as error:
+            self.port.is_using = False
+            raise PortError(f"Serial port {self.port.port_name} is gone: {error}.") from error
+
+    def _count(self, motor: Motor, result: int, attempt: int) -> str:
+        text = str(self.packets.getTxRxResult(result)).removeprefix("[TxRxResult] ").rstrip("!")
+        lost = "no status packet" in text
+        self.counters.lost += lost
+        self.counters.corrupt += not lost
+        self.counters.by_motor[motor.name] = self.counters.by_motor.get(motor.name, 0) + 1
+        # What is still on its way must not be taken for the answer to the next request.
+        time.sleep(0.002)
+        if attempt < RETRIES:
+            self.counters.retried += 1
+        else:
+            self.counters.failed += 1
+        return text
+
+
+def motors_from(config: Mapping[str, Mapping[str, object]]) -> list[Motor]:
+    """Motors of a `config/hw/*.yaml`: name -> {id, model, sign, zero_deg}.
+
+    Raises:
+        InputError: unknown model, missing id; all complaints at once.
+    """
+    from math import radians
+
+    complaints, motors = [], []
+    for name, entry in config.items():
+        unknown = set(entry) - {"id", "model", "sign", "zero_deg"}
+        if unknown:
+            complaints.append(f"Motor {name}: unknown keys {sorted(unknown)}; valid are id, model, sign, zero_deg.")
+        try:
+            motors.append(
+                Motor(
+                    name=name,
+                    id=int(entry["id"]),  # type: ignore[call-overload]
+                    model=servo_model(str(entry["model"])),
+                    sign=int(entry.get("sign", 1)),  # type: ignore[call-overload]
+                    zero=radians(float(entry.get("zero_deg", 0.0))),  # type: ignore[arg-type]
+                )
+            )
+        except KeyError as error:
+            complaints.append(f"Motor {name}: {error} is missing; a motor needs at least id and model.")
+        except (InputError, TypeError, ValueError) as error:
+            complaints.append(f"Motor {name}: {error}")
+    if complaints:
+        raise InputError(complaints)
+    return motors

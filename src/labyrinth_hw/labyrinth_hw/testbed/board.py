@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Belt and board: a stiff or soft belt with play and inner friction, an unbalanced board between end stops."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from labyrinth_hw.testbed.friction import karnopp_step
+from labyrinth_hw.testbed.parameters import Array
+
+MOUNT_DRAG = 0.4  # N m s/rad with which a slipping mount moves
+
+
+class Belt:
+    """Torque between a servo and its board axis."""
+
+    def __init__(self, q: SimpleNamespace) -> None:
+        self.slack = 0.5 * q.play
+        self.inner = np.zeros_like(q.play)
+        self.inner_limit = q.belt_hysteresis / q.belt_hysteresis_stiffness
+        self.shift = np.zeros_like(q.play)
+        self.hysteretic = bool((q.belt_hysteresis > 0).any())
+        self.loose = bool((q.mount_play > 0).any())
+        self.crossed = bool((q.cross_axis != 0).any())
+
+    def torque(self, q: SimpleNamespace, servo: Array, servo_speed: Array, board: Array, speed: Array, dt: float) -> Array:
+        """Torque on the board, N m. Angles rad, speeds rad/s."""
+        pull, rate = q.ratio * (servo + self.shift), q.ratio * servo_speed
+        if self.crossed:
+            pull, rate = pull + q.cross_axis * servo[:, ::-1], rate + q.cross_axis * servo_speed[:, ::-1]
+        stretch, rate = pull - board, rate - speed
+        beyond = stretch - np.clip(stretch, -self.slack, self.slack)
+        torque = q.belt_stiffness * beyond + np.where(np.abs(stretch) >= self.slack, q.belt_damping * rate, 0.0)
+        if self.hysteretic:
+            # Prandtl's element: a spring that slips at the limit of its inner friction.
+            self.inner = np.clip(self.inner + dt * rate, -self.inner_limit, self.inner_limit)
+            torque = torque + q.belt_hysteresis_stiffness * self.inner
+        if self.loose:
+            surplus = np.sign(torque) * np.maximum(np.abs(torque) - q.mount_friction, 0.0)
+            self.shift = np.clip(self.shift - dt * surplus / MOUNT_DRAG, -0.5 * q.mount_play, 0.5 * q.mount_play)
+        return torque
+
+    def reaction(self, q: SimpleNamespace, torque: Array) -> Array:
+        """Torque on the servos, N m, from the belts' torques on the board."""
+        back = q.ratio * torque
+        return back + (q.cross_axis * torque)[:, ::-1] if self.crossed else back
+
+
+def board_speed(q: SimpleNamespace, angle: Array, speed: Array, belt: Array, dt: float) -> Array:
+    """Speed of the board, rad/s, one step later.
+
+    Args:
+        angle, speed: rad, rad/s.
+        belt: N m of the belt and of whatever else pushes.
+    """
+    past = angle - np.clip(angle, -q.stop_angle, q.stop_angle)
+    torque = (
+        belt - q.gravity_moment * np.cos(angle) + q.gravity_height * np.sin(angle)
+        - q.return_spring * angle - q.stop_stiffness * past
+    )  # fmt: skip
+    return karnopp_step(speed, torque, q.board_inertia, q.board_friction, q.board_viscous, dt)

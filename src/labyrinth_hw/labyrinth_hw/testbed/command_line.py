@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line of the emulated testbed."""
+
+import argparse
+import json
+import os
+import select
+import signal
+import sys
+import time
+from pathlib import Path
+from types import FrameType
+
+from labyrinth_hw.errors import HardwareError, InputError
+from labyrinth_hw.testbed.hidden import TestbedConfig, load_testbed
+from labyrinth_hw.testbed.live import FAULTS, LiveTestbed, default_link_dir
+from labyrinth_hw.testbed.rig import LiveRig
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of `testbed`."""
+    p = argparse.ArgumentParser(
+        prog="testbed",
+        description="An emulated labyrinth behind pseudo-serial ports: two Dynamixel servos and a sensor line, with "
+        "physics of its own and whatever a YAML file says is wrong with it. Needs no ROS.",
+        epilog=f"Faults, one a line on standard input. {FAULTS}",
+    )
+    p.add_argument("--config", default="paper", help="name or path of a config/testbed/*.yaml (default: paper); see --list")
+    p.add_argument("--list", action="store_true", help="list the known rigs and effects, and end")
+    p.add_argument("--effect", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]", help="hide one more effect, e.g. backlash.x=strong")
+    p.add_argument("--seed", type=int, help="of the noise; without --effect and with --draw, of the hidden effect too")
+    p.add_argument("--draw", action="store_true", help="hide an effect drawn at random by the seed")
+    p.add_argument("--reveal", type=Path, metavar="FILE", help="write what is hidden to this JSON file")
+    p.add_argument("--link-dir", type=Path, help=f"folder of the links to the ports (default: {default_link_dir()})")
+    p.add_argument("--baud", type=int, help="speed that the servo bus imitates (default: the config's)")
+    p.add_argument("--duration", type=float, help="stop after this many seconds")
+    return p
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the testbed until Ctrl-C, SIGTERM or --duration."""
+    from labyrinth_hw.testbed.hidden import listing
+
+    given, _ = parser().parse_known_args(_without_ros(sys.argv[1:] if arguments is None else arguments))
+    try:
+        if given.list:
+            print(listing())
+            return
+        seed = given.seed if given.seed is not None else int.from_bytes(os.urandom(4), "little")
+        loaded = load_testbed(given.config, effects=given.effect, draw_seed=seed if given.draw else None)
+        if given.reveal is not None:
+            write_new(given.reveal, json.dumps(loaded.revealed(), indent=2) + "\n")
+        run(loaded, given.link_dir or default_link_dir(), given.baud or loaded.baud, seed, given.duration)
+    except (InputError, HardwareError) as error:
+        print(f"testbed: {error}", file=sys.stderr)
+        raise SystemExit(2) from error
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a file that must not exist yet."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(f"{path} exists and is left as it is; name another file.") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error}.") from error
+
+
+def run(loaded: TestbedConfig, link_dir: Path, baud: int, seed: int, duration: float | None) -> None:
+    """Serve the ports until told to stop."""
+    stop: list[int] = []
+
+    def told(number: int, frame: FrameType | None) -> None:
+        stop.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, told)
+    rig = LiveRig(loaded.reality, loaded.servo, seed, time.monotonic())
+    testbed = LiveTestbed(rig, link_dir, baud, loaded.sensor_baud, seed)
+    end = time.monotonic() + duration if duration is not None else float("inf")
+    open_input = [True]
+
+    def orders(now: float) -> None:
+        if open_input[0] and select.select([sys.stdin], [], [], 0)[0]:
+            line = sys.stdin.readline()
+            if not line:
+                open_input[0] = False
+            elif line.split():
+                print(testbed.fault(line.split()), flush=True)
+
+    for name, line in testbed.lines.items():
+        print(f"{name}: {line.port.link}", flush=True)
+    print(f"testbed: {loaded.servo.name}, protocol {loaded.servo.protocol}.0, {baud} baud; Ctrl-C ends it", flush=True)
+    try:
+        testbed.spin(lambda: bool(stop) or time.monotonic() >= end, orders)
+    finally:
+        testbed.close()
+        print(f"testbed: stopped; {testbed.bus.received} packets; {rig.skipped:.2f} s of physics skipped", flush=True)
+
+
+def _without_ros(arguments: list[str]) -> list[str]:
+    """What stands before or after `--ros-args ... --`, so that launch files may start the testbed like a node."""
+    if "--ros-args" not in arguments:
+        return arguments
+    at = arguments.index("--ros-args")
+    rest = arguments[at + 1 :]
+    return arguments[:at] + (rest[rest.index("--") + 1 :] if "--" in rest else [])
+
+

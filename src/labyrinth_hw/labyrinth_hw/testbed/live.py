@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated rig behind its serial ports, in real time."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from labyrinth_hw import sensor_protocol
+from labyrinth_hw.control_tables import MODELS
+from labyrinth_hw.testbed.rig import LiveRig
+from labyrinth_hw.testbed.serial_ports import Line, PseudoSerial, wait
+from labyrinth_hw.testbed.servo_emulator import EmulatedBus
+
+TICK = 0.002  # s between looks at the physics while nothing else happens
+
+
+def default_link_dir() -> Path:
+    """Folder of the links: under the user's runtime folder where there is one."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(runtime) / "labyrinth_testbed" if runtime else Path(tempfile.gettempdir()) / f"labyrinth_testbed_{os.getuid()}"
+
+
+class LiveTestbed:
+    """Two serial lines in front of one rig.
+
+    Args:
+        rig: the rig.
+        link_dir: folder of the links `servos` and `sensors`.
+        baud, sensor_baud: speeds that the wires imitate.
+        seed: of the line noise.
+    """
+
+    def __init__(self, rig: LiveRig, link_dir: Path, baud: int, sensor_baud: int, seed: int) -> None:
+        self.rig = rig
+        self.bus = EmulatedBus(rig.servos)
+        self._buffer = bytearray()
+        self.servo_line = Line(PseudoSerial(link_dir / "servos"), baud, self._servo_answers, seed + 1)
+        self.sensor_line = Line(PseudoSerial(link_dir / "sensors"), sensor_baud, self._sensor_answers, seed + 2)
+        self.lines = {"servos": self.servo_line, "sensors": self.sensor_line}
+        self.supplied: Callable[[], None] = lambda: None
+
+    def spin(self, stopped: Callable[[], bool], each: Callable[[float], None] = lambda now: None) -> None:
+        """Run until `stopped`; `each` is called at every look at the physics."""
+        lines = list(self.lines.values())
+        while not stopped():
+            now = time.monotonic()
+            self.rig.catch_up(now)
+            each(now)
+            for line in lines:
+                if line.port.plugged:
+                    line.receive(now)
+                line.send(now)
+            wait(lines, min(now + TICK, *(line.due() for line in lines)), time.monotonic())
+
+    def close(self) -> None:
+        """Take the devices and their links away."""
+        for line in self.lines.values():
+            line.port.unplug()
+
+    def fault(self, words: list[str]) -> str:
+        """Do to the rig what a line of standard input says; returns what was done or why not."""
+        match words:
+            case ["unplug", name] if name in self.lines:
+                self.lines[name].port.unplug()
+            case ["plug", name] if name in self.lines:
+                if not self.lines[name].port.plugged:
+                    self.lines[name].port.plug()
+            case ["noise", name, share] if name in self.lines:
+                self.lines[name].bad_share = float(share)
+            case ["late", name, seconds] if name in self.lines:
+                self.lines[name].extra_delay = float(seconds)
+            case ["alarm", axis, bits] if axis in ("x", "y"):
+                self.rig.servos["xy".index(axis)].raise_alarm(int(bits, 0))
+            case ["replace", axis, model] if axis in ("x", "y") and model in MODELS:
+                self.rig.servos["xy".index(axis)].set("model_number", MODELS[model].number)
+            case ["piezo"]:
+                self.rig.piezo += 1
+            case _:
+                return f"not understood: {' '.join(words)}. {FAULTS}"
+        return "done: " + " ".join(words)
+
+    def _servo_answers(self, data: bytes) -> list[tuple[bytes, float]]:
+        self.rig.refresh()
+        return [(answer.data, answer.delay) for answer in self.bus.feed(data)]
+
+    def _sensor_answers(self, data: bytes) -> list[tuple[bytes, float]]:
+        self._buffer += data
+        answers = []
+        while b"\n" in self._buffer:
+            line, _, rest = bytes(self._buffer).partition(b"\n")
+            self._buffer[:] = rest
+            body = sensor_protocol.unpack(line)
+            if body == sensor_protocol.SUPPLY:
+                self.rig.depot += 1
+                self.supplied()
+            if body in (sensor_protocol.READ, sensor_protocol.SUPPLY):
+                answers.append((sensor_protocol.write_sample(self.rig.sample()), 50e-6))
+        return answers
+
+
+FAULTS = (
+    "Known: unplug servos|sensors; plug servos|sensors; noise servos|sensors SHARE; late servos|sensors SECONDS; "
+    "alarm x|y BITS; replace x|y MODEL; piezo."
+)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated rig in real time: physics kept up with a clock, servo registers and sensor samples on demand."""
+
+import numpy as np
+
+from labyrinth_hw.control_tables import ServoModel
+from labyrinth_hw.sensor_protocol import SensorSample
+from labyrinth_hw.testbed.parameters import Reality, stack
+from labyrinth_hw.testbed.plant import PERIOD, Plant
+from labyrinth_hw.testbed.servo import quantised
+from labyrinth_hw.testbed.servo_emulator import EmulatedServo
+
+POT_ZERO = 32768
+POT_SCALE = 2.0e-5  # rad per count
+LONGEST_GAP = 0.05  # s of physics made up for at once
+OVERLOAD_SHARE, OVERLOAD_TIME = 0.95, 1.0  # of the largest current, s
+
+
+class LiveRig:
+    """One emulated rig.
+
+    Args:
+        reality: its physics.
+        model: both servos' control table; ids 1 (x) and 2 (y).
+        seed: of its noise.
+        now: s, the clock's reading at the start.
+    """
+
+    def __init__(self, reality: Reality, model: ServoModel, seed: int, now: float) -> None:
+        self.q = stack([reality])
+        self.plant = Plant(self.q, np.zeros((1, 2)))
+        self.servos = [EmulatedServo(model, 1), EmulatedServo(model, 2)]
+        self.rng = np.random.default_rng(seed)
+        self.skipped = 0.0
+        self.piezo = self.depot = self._sequence = 0
+        self._start, self._goals = now, [servo.raw("goal_position") for servo in self.servos]
+        self._overload = np.zeros(2)
+        self._noise_due = 0.0
+
+    def catch_up(self, now: float) -> None:
+        """Advance the physics to `now`; what the machine was too slow for is skipped and counted."""
+        behind = now - self._start - self.plant.time
+        if behind > LONGEST_GAP:
+            self.skipped += behind - LONGEST_GAP
+            self._start += behind - LONGEST_GAP
+            behind = LONGEST_GAP
+        while behind >= PERIOD:
+            periods = min(int(behind / PERIOD), 10)
+            if self.plant.time >= self._noise_due:
+                self.plant.push = self.q.torque_noise * self.rng.standard_normal((1, 2))
+                self._noise_due = self.plant.time + 0.01
+            self._take_goals()
+            self.plant.advance(periods)
+            self._watch(periods * PERIOD)
+            behind -= periods * PERIOD
+
+    def _take_goals(self) -> None:
+        raw = [servo.raw("goal_position") for servo in self.servos]
+        self.plant.torque_on[0] = [servo.torque_on for servo in self.servos]
+        if raw != self._goals:
+            self._goals = raw
+            jitter = self.q.command_jitter * self.rng.standard_normal((1, 2))
+            self.plant.command(np.array([[servo.get("goal_position") for servo in self.servos]]), jitter)
+
+    def _watch(self, dt: float) -> None:
+        """Hardware alarms: overload, overheating, voltage."""
+        for a, servo in enumerate(self.servos):
+            strained = abs(self.plant.motor.current[0, a]) > OVERLOAD_SHARE * self.q.current_limit[0, a]
+            self._overload[a] = self._overload[a] + dt if strained else 0.0
+            bits = 0x20 if self._overload[a] > OVERLOAD_TIME else 0
+            bits |= 0x04 if self.plant.motor.temperature[0, a] > servo.get("temperature_limit") else 0
+            volts = self.plant.motor.supply[0, a]
+            bits |= 0x01 if not servo.get("min_voltage") <= volts <= servo.get("max_voltage") else 0
+            if bits & ~servo.alarm:
+                servo.raise_alarm(bits)
+
+    def refresh(self) -> None:
+        """Write what the servos measure now into their registers."""
+        zero = np.zeros((1, 2))
+        angle, speed = self.plant.encoder(zero)
+        noise = self.rng.standard_normal((1, 2))
+        angle = self.q.encoder_gain * angle + self.q.encoder_bias + self.q.encoder_noise * noise
+        for a, servo in enumerate(self.servos):
+            model = servo.model
+            servo.set("present_position", float(angle[0, a]))
+            servo.set("present_speed", float(speed[0, a]))
+            torque = float(self.plant.motor.kt[0, a] * self.plant.motor.current[0, a])
+            if "present_load" in model.registers:
+                servo.set("present_load", float(np.clip(torque / model.stall_torque, -1.0, 1.0)))
+            if "present_current" in model.registers:
+                servo.set("present_current", torque / model.torque_constant)
+            servo.set("present_voltage", float(self.plant.motor.supply[0, a]))
+            servo.set("present_temperature", float(self.plant.motor.temperature[0, a]))
+            servo.set("moving", float(abs(speed[0, a]) > 0.02))
+
+    def sample(self) -> SensorSample:
+        """What the microcontroller measures now."""
+        noise = self.rng.standard_normal((1, 2))
+        angle = self.q.pot_gain * self.plant.pots(np.zeros((1, 2))) + self.q.pot_bias + self.q.pot_noise * noise
+        x, y = np.rint(quantised(angle, self.q.pot_tick)[0] / POT_SCALE).astype(int) + POT_ZERO
+        self._sequence = (self._sequence + 1) % 65536
+        micros = int(self.plant.time * 1e6) % 2**32
+        limit = 65535
+        return SensorSample(
+            self._sequence, micros, int(np.clip(x, 0, limit)), int(np.clip(y, 0, limit)), self.piezo % 65536, self.depot % 65536
+        )

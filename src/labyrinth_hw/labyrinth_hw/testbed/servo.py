@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servo's firmware and its DC motor, seen at the output shaft. Arrays are (n, 2): runs by axes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from labyrinth_hw.testbed.parameters import Array
+
+COPPER = 0.0039  # relative growth of resistance per kelvin
+MAGNET = 0.0012  # relative loss of flux per kelvin
+WARM = 25.0  # degC at which the constants hold
+
+
+def quantised(value: Array, tick: Array) -> Array:
+    """The nearest multiple of `tick`; unchanged where the tick is 0."""
+    return np.where(tick > 0, np.rint(value / np.where(tick > 0, tick, 1.0)) * tick, value)
+
+
+def position_error(q: SimpleNamespace, angle: Array) -> Array:
+    """Error of the servo's own position measurement, rad, at this true angle."""
+    wave = q.error_amplitude * np.sin(q.error_count * angle + q.error_phase)
+    return wave + q.error_slope * angle
+
+
+class Firmware:
+    """Turns goal and measured position into a duty cycle, once every control period."""
+
+    def __init__(self, q: SimpleNamespace, start: Array, period: float) -> None:
+        self.period = period
+        self.duty = np.zeros_like(q.p)
+        self.goal = start.copy()
+        self.integral = np.zeros_like(q.p)
+        self.error = np.zeros_like(q.p)
+        self.as_duty = q.firmware > 0.5
+        self.limited = q.command_rate > 0
+        self.ticking = bool((q.control_tick > 0).any() or (q.command_tick > 0).any())
+
+    def update(self, q: SimpleNamespace, goal: Array, measured: Array, speed: Array, supply: Array) -> None:
+        """One control period.
+
+        Args:
+            goal, measured: rad, as the servo sees them.
+            speed: rad/s of the shaft.
+            supply: V at the terminals.
+        """
+        wanted = q.command_gain * goal
+        if self.ticking:
+            wanted, measured = quantised(wanted, q.command_tick), quantised(measured, q.control_tick)
+        step = self.period * q.command_rate
+        self.goal = np.where(self.limited, self.goal + np.clip(wanted - self.goal, -step, step), wanted)
+        raw = self.goal - measured
+        error = np.where(np.abs(raw) > q.margin, raw, 0.0)
+        self.integral += self.period * error
+        change, self.error = error - self.error, error
+        velocity = q.p * error + q.i * self.integral + q.d * change / self.period * 0.01
+        torque = q.velocity_gain * (velocity - speed)
+        follow = (torque / q.kt * q.resistance + q.ke * speed) / supply
+        direct = q.duty_gain * error + q.punch * np.sign(error)
+        self.duty = np.clip(np.where(self.as_duty, direct, follow), -q.duty_limit, q.duty_limit)
+
+
+class Motor:
+    """A brushed DC motor behind a gear: V = R i + ke w, with sagging supply and a warming winding."""
+
+    def __init__(self, q: SimpleNamespace) -> None:
+        self.current = np.zeros_like(q.p)
+        self.temperature = np.full_like(q.p, WARM + 5.0)
+        self.supply = q.supply.copy()
+        self.resistance = q.resistance.copy()
+        self.kt = q.kt.copy()
+
+    def torque(self, q: SimpleNamespace, duty: Array, speed: Array) -> Array:
+        """Electromagnetic torque at the shaft, N m."""
+        current = (duty * self.supply - q.ke * speed) / self.resistance
+        self.current = np.clip(current, -q.current_limit, q.current_limit)
+        return self.kt * self.current
+
+    def warm(self, q: SimpleNamespace, duty: Array, dt: float) -> None:
+        """Let heat flow and the supply sag for `dt` seconds."""
+        lost = self.resistance * np.square(self.current) - (self.temperature - WARM) / q.thermal_resistance
+        self.temperature = self.temperature + dt * lost / q.heat_capacity
+        above = self.temperature - WARM
+        self.resistance = q.resistance * (1 + COPPER * above)
+        self.kt = q.kt * (1 - MAGNET * above)
+        drawn = np.abs(duty * self.current).sum(axis=1, keepdims=True)
+        self.supply = np.maximum(q.supply - q.supply_resistance * drawn, 1.0)

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Servos that answer instruction packets from their control tables, protocol 1.0 and 2.0."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from labyrinth_hw.control_tables import Register, ServoModel
+from labyrinth_hw.testbed import packets
+from labyrinth_hw.testbed.packets import BROADCAST, Instruction
+
+E1_RANGE, E1_CHECKSUM, E1_INSTRUCTION = 0x08, 0x10, 0x40
+E2_INSTRUCTION, E2_CRC, E2_LENGTH, E2_ACCESS, E2_ALERT = 2, 3, 5, 7, 0x80
+
+
+@dataclass
+class Answer:
+    """A status packet and how long the servo waits before it sends it, s."""
+
+    data: bytes
+    delay: float
+
+
+class EmulatedServo:
+    """One servo's registers.
+
+    Args:
+        model: control table.
+        id: on the bus.
+    """
+
+    def __init__(self, model: ServoModel, id: int) -> None:
+        self.model = model
+        self.memory = bytearray(256)
+        self.alarm = 0
+        self.refused_torque = False
+        self._pending: tuple[int, bytes] | None = None
+        self.power_up()
+        self.set("id", id)
+
+    def power_up(self) -> None:
+        """Every register as the factory set it."""
+        self.memory[:] = bytes(len(self.memory))
+        self.alarm = 0
+        for register in self.model.registers.values():
+            self._store(register, register.initial)
+
+    def get(self, name: str) -> float:
+        """A register in SI units."""
+        register = self.model.register(name)
+        return register.to_si(self.raw(name))
+
+    def raw(self, name: str) -> int:
+        """A register as counts."""
+        r = self.model.register(name)
+        return int.from_bytes(self.memory[r.address : r.address + r.size], "little")
+
+    def set(self, name: str, value: float) -> None:
+        """Set a register from SI units, as the firmware does."""
+        register = self.model.register(name)
+        self._store(register, register.to_raw(value))
+
+    def _store(self, register: Register, raw: int) -> None:
+        self.memory[register.address : register.address + register.size] = raw.to_bytes(register.size, "little")
+
+    @property
+    def id(self) -> int:
+        """Bus id."""
+        return self.raw("id")
+
+    @property
+    def torque_on(self) -> bool:
+        """Whether the motor is driven."""
+        return bool(self.raw("torque_enable"))
+
+    def raise_alarm(self, bits: int) -> None:
+        """Set hardware error bits; those in the shutdown register switch torque off until power-up or reset."""
+        self.alarm |= bits
+        if self.model.protocol == 2:
+            self._store(self.model.register("hardware_error"), self.alarm)
+        if bits & self.raw("shutdown"):
+            self._store(self.model.register("torque_enable"), 0)
+
+    def clear_alarm(self) -> None:
+        """What a reboot does to the alarm."""
+        self.alarm = 0
+        if self.model.protocol == 2:
+            self._store(self.model.register("hardware_error"), 0)
+
+    def read(self, address: int, size: int) -> bytes:
+        """Bytes of the control table."""
+        return bytes(self.memory[address : address + size])
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write bytes as an instruction would. Returns the error number (0 is none)."""
+        two = self.model.protocol == 2
+        end = address + len(data)
+        touched = [r for r in self.model.registers.values() if r.address < end and address < r.address + r.size]
+        if end > len(self.memory) or any(not r.writable for r in touched) or not touched:
+            return E2_ACCESS if two else E1_RANGE
+        if two and self.torque_on and any(r.eeprom for r in touched):
+            return E2_ACCESS
+        enable = self.model.register("torque_enable").address
+        if address <= enable < end and data[enable - address] and self.alarm & self.raw("shutdown"):
+            return E2_ACCESS if two else 0
+        self.memory[address:end] = data
+        return 0
+
+    def status(self, error: int, parameters: bytes = b"") -> Answer:
+        """A status packet with the error of this instruction and the alarm bits."""
+        flags = error | self.alarm if self.model.protocol == 1 else error | (E2_ALERT if self.alarm else 0)
+        delay = self.get("return_delay")
+        return Answer(packets.status(self.model.protocol, self.id, flags, parameters), delay)
+
+
+class EmulatedBus:
+    """Servos of one protocol on one line.
+
+    Args:
+        servos: on this bus.
+    """
+
+    def __init__(self, servos: list[EmulatedServo]) -> None:
+        self.servos = servos
+        self.protocol = servos[0].model.protocol
+        self.stream = packets.Stream(self.protocol)
+        self.received = 0
+
+    def feed(self, data: bytes) -> Iterator[Answer]:
+        """Bytes from the host; yields the answers in the order in which they are sent."""
+        for instruction in self.stream.feed(data):
+            self.received += 1
+            yield from self._answer(instruction)
+
+    def _answer(self, instruction: Instruction) -> Iterator[Answer]:
+        code, parameters = instruction.code, instruction.parameters
+        by_id = {servo.id: servo for servo in self.servos}
+        if not instruction.intact:
+            if instruction.id in by_id:
+                yield by_id[instruction.id].status(E1_CHECKSUM if self.protocol == 1 else E2_CRC)
+        elif code == packets.SYNC_WRITE:
+            self._sync_write(by_id, parameters)
+        elif code == packets.SYNC_READ and self.protocol == 2:
+            start, size = int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")
+            yield from self._reads(by_id, [(servo, start, size) for servo in parameters[4:]])
+        elif code == packets.BULK_READ:
+            yield from self._reads(by_id, self._bulk(parameters))
+        elif code == packets.BULK_WRITE and self.protocol == 2:
+            self._bulk_write(by_id, parameters)
+        elif code == packets.ACTION:
+            for servo in self.servos:
+                if servo._pending is not None:
+                    servo.write(*servo._pending)
+                    servo._pending = None
+        else:
+            for servo in self.servos:
+                if instruction.id in (servo.id, BROADCAST):
+                    answer = self._single(servo, code, parameters)
+                    if answer is not None and (instruction.id != BROADCAST or (code == packets.PING and self.protocol == 2)):
+                        yield answer
+
+    def _single(self, servo: EmulatedServo, code: int, parameters: bytes) -> Answer | None:
+        level = servo.raw("status_return_level")
+        wide = 2 if self.protocol == 2 else 1
+        if code == packets.PING:
+            model = servo.read(0, 2) + bytes((servo.raw("firmware_version"),))
+            return servo.status(0, model if self.protocol == 2 else b"")
+        if code == packets.READ:
+            size = int.from_bytes(parameters[wide:], "little")
+            return servo.status(0, servo.read(int.from_bytes(parameters[:wide], "little"), size)) if level >= 1 else None
+        if code in (packets.WRITE, packets.REG_WRITE):
+            address, data = int.from_bytes(parameters[:wide], "little"), parameters[wide:]
+            if code == packets.REG_WRITE:
+                servo._pending, error = (address, data), 0
+            else:
+                error = servo.write(address, data)
+            return servo.status(error) if level >= 2 else None
+        if code == packets.REBOOT and self.protocol == 2:
+            servo.clear_alarm()
+            servo.set("torque_enable", 0)
+            return servo.status(0) if level >= 2 else None
+        return servo.status(E1_INSTRUCTION if self.protocol == 1 else E2_INSTRUCTION)
+
+    def _bulk(self, parameters: bytes) -> list[tuple[int, int, int]]:
+        if self.protocol == 1:
+            triples = [parameters[i : i + 3] for i in range(1, len(parameters) - 2, 3)]
+            return [(servo, start, size) for size, servo, start in triples]
+        fives = [parameters[i : i + 5] for i in range(0, len(parameters) - 4, 5)]
+        return [(p[0], int.from_bytes(p[1:3], "little"), int.from_bytes(p[3:5], "little")) for p in fives]
+
+    def _reads(self, by_id: dict[int, EmulatedServo], wanted: list[tuple[int, int, int]]) -> Iterator[Answer]:
+        for id_, start, size in wanted:
+            if id_ not in by_id:
+                return  # each servo waits for the one before it, so a missing one silences the rest
+            if by_id[id_].model.bulk_read:
+                yield by_id[id_].status(0, by_id[id_].read(start, size))
+
+    def _sync_write(self, by_id: dict[int, EmulatedServo], parameters: bytes) -> None:
+        wide = 2 if self.protocol == 2 else 1
+        start, size = int.from_bytes(parameters[:wide], "little"), int.from_bytes(parameters[wide : 2 * wide], "little")
+        for i in range(2 * wide, len(parameters) - size, size + 1):
+            if parameters[i] in by_id:
+                by_id[parameters[i]].write(start, parameters[i + 1 : i + 1 + size])
+
+    def _bulk_write(self, by_id: dict[int, EmulatedServo], parameters: bytes) -> None:
+        at = 0
+        while at + 5 <= len(parameters):
+            start, size = (int.from_bytes(parameters[at + i : at + i + 2], "little") for i in (1, 3))
+            if parameters[at] in by_id:
+                by_id[parameters[at]].write(start, parameters[at + 5 : at + 5 + size])
+            at += 5 + size
