@@ -50,7 +50,9 @@ def compiled(model: Model, with_ball: bool, timestep: float | None = None) -> Pl
     ordered = tuple(sorted(uses, key=lambda use: use[0].order))
     source = rig.mjcf if with_ball or rig.mjcf_without_ball is None else rig.mjcf_without_ball
     key = _RigKey(rig)
-    return _compiled(key, kinds, ordered, source, source.stat().st_mtime_ns, with_ball and rig.ball is not None, timestep)
+    return _compiled(
+        key, kinds, ordered, source, source.stat().st_mtime_ns, with_ball and rig.ball is not None, timestep
+    )
 
 
 class _RigKey:
@@ -174,7 +176,10 @@ def _quantities(key: _RigKey, source: Path, _version: int) -> tuple[tuple[str, i
     for name in dict.fromkeys(name for axis in key.rig.axes for name in (axis.joint, axis.load)):
         joint = mj.joint(name)
         numbers = (joint.armature[0], joint.damping[0], joint.frictionloss[0])
-        found += [(f"joint.{name}.{p.name}", i, float(v)) for i, (p, v) in enumerate(zip(PLAIN["joint"], numbers, strict=True))]
+        found += [
+            (f"joint.{name}.{p.name}", i, float(v))
+            for i, (p, v) in enumerate(zip(PLAIN["joint"], numbers, strict=True))
+        ]
         body = mj.body(int(joint.bodyid[0]))
         bodies[body.name] = float(body.mass[0])
     found += [(f"body.{name}.mass", 0, mass) for name, mass in bodies.items() if name]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the file of an effect or a drive declares, and how such files are found.
 
-A hook works on all simulations of a batch at once: every parameter it gets is an array (nsim,). An effect has the hooks that
-it needs and leaves the others None.
+A hook works on all simulations of a batch at once: every parameter it gets is an array (nsim,). An effect has the hooks
+that it needs and leaves the others None.
 """
 
 import importlib
@@ -132,8 +132,8 @@ class Drive:
         spec: makes the axis's actuator, whatever the values.
         fields: writes the values into the compiled model.
         target: makes the filter of the target (rad), as for a delay; None for none.
-        controller: makes the law that is evaluated once a sample; None where MuJoCo's actuator does it all and its control
-            is the target.
+        controller: makes the law that is evaluated once a sample; None where MuJoCo's actuator does it all and its
+            control is the target.
         supply: scales the axis's strength by (nsim,) while stepping, as a sagging supply does; gets the base fields.
         strength: model fields that `supply` writes.
     """
@@ -175,7 +175,9 @@ def named(kind: str, name: str, library: Mapping[str, Any]) -> Any:
     return library[name]
 
 
-def _library(package: str, symbol: str, kind: type, folder: Path | str | None) -> dict[str, Any]:
+def _library(
+    package: str, symbol: str, kind: "type[Effect] | type[Drive]", folder: Path | str | None
+) -> dict[str, Any]:
     found: dict[str, Any] = {}
     complaints: list[str] = []
     for where, item in _declared(package, symbol, folder, complaints):
@@ -220,7 +222,8 @@ def _load(file: Path) -> ModuleType:
     key = (file.resolve(), file.stat().st_mtime_ns)
     if key not in _LOADED:
         spec = importlib.util.spec_from_file_location(f"labyrinth_sim_user_{file.stem}", file)
-        assert spec is not None and spec.loader is not None
+        assert spec is not None
+        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         _LOADED[key] = module

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import mujoco.batch
@@ -44,10 +45,11 @@ class Engine:
         self._errors = [[(p, _local(values, p.prefix)) for p in plan.effects if p.effect.error and p.site.channel == i]
                         for i in range(len(plan.drives))]  # fmt: skip
         touched = {name for p, _ in self._hooks for name in p.effect.touches}
-        self.live = Live(self.batch, self.fields, tuple(sorted(touched)))
+        self.live = Live(self.batch, self.fields, tuple(sorted(touched)), tuple((d, s) for d, _, s in plan.drives))
         self.live_step = step / self.substeps
         self._controllers: list[Controller | None] = [
-            kind.controller(_local(values, prefix), step) if kind.controller else None for kind, prefix, _ in plan.drives
+            kind.controller(_local(values, prefix), step) if kind.controller else None
+            for kind, prefix, _ in plan.drives
         ]
         native_errors = any(e and c is None for e, c in zip(self._errors, self._controllers, strict=True))
         self._every_step = bool(self._hooks) or native_errors
@@ -105,7 +107,7 @@ class Engine:
         for k in range(self.substeps):
             self._before_step(target, off)
             stage = self._stage if k == self.substeps - 1 else 0
-            self._run(lambda ids, stage=stage: self.batch.step(ids, 1, stage))
+            self._run(partial(self.batch.step, nstep=1, stage=stage))
 
     def _before_step(self, target: Array, off: NDArray[np.bool_]) -> None:
         for i, (_, _, site) in enumerate(self.plan.drives):
@@ -271,7 +273,7 @@ def _ratio(mj: mujoco.MjModel, belt: str) -> float:
 
 
 def place_ball(site: Site, mj: mujoco.MjModel, qpos: Array, given: Mapping[str, Array]) -> None:
-    """Writes the ball into qpos (nsim, nq), at ball_x, ball_y in its frame; at the MJCF's start point where not given."""
+    """Writes the ball into qpos (nsim, nq), at ball_x, ball_y in its frame, or where the MJCF has it."""
     data = mujoco.MjData(mj)
     mujoco.mj_forward(mj, data)
     rest = data.site_xmat[site.ball_site].reshape(3, 3).T @ (data.xpos[site.ball_body] - data.site_xpos[site.ball_site])

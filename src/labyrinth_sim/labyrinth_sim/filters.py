@@ -4,6 +4,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labyrinth_sim.trials import Array
 
@@ -63,7 +64,7 @@ class Lag:
 class RateLimit:
     """Moves towards its input no faster than `rate` (nsim,) per s, from `start` (nsim,). NaN passes and restarts it."""
 
-    def __init__(self, rate: Array, free: Array, step: float, start: Array) -> None:
+    def __init__(self, rate: Array, free: NDArray[np.bool_], step: float, start: Array) -> None:
         self.most, self.free, self.last = rate * step, free, np.array(start, float)
 
     def __call__(self, own: Array, every: Array) -> Array:

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What hooks see of a running batch."""
 
+from typing import TYPE_CHECKING
+
 import mujoco.batch
 import numpy as np
 
 from labyrinth_sim.trials import Array
+
+if TYPE_CHECKING:
+    from labyrinth_sim.effect import Drive
+    from labyrinth_sim.site import Site
 
 
 class Fields:
@@ -13,6 +19,8 @@ class Fields:
     def __init__(self, batch: mujoco.batch.Batch) -> None:
         self._batch = batch
         self.used: dict[str, Array] = {}
+        self.torque: Array = np.zeros((batch.nsim, batch.model.nv))
+        """(nsim, nv) N m that act on each degree of freedom at all times; add to it."""
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.used:
@@ -35,14 +43,23 @@ class Live:
 
     Attributes:
         qpos (nsim, nq), qvel (nsim, nv): now.
-        applied (nsim, nv): N m, add to it; zeroed before every step.
-        actuator, bias, passive (nsim, nv): N m on each degree of freedom as of the last step: of the drives; of inertia and
-            gravity, on the other side of the equation; of springs and dampers.
+        applied (nsim, nv): N m, add to it; set back before every step.
+        actuator, bias, passive (nsim, nv): N m on each degree of freedom as of the last step: of the drives; of inertia
+            and gravity, on the other side of the equation; of springs and dampers.
+        drives: kind and place of each axis's drive.
+        force (nsim, nu): N m, of each actuator as of the last step.
         base: values of the fields that step hooks write, before any hook.
+        model: what all simulations share.
         step: s.
     """
 
-    def __init__(self, batch: mujoco.batch.Batch, fields: Fields, touched: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        batch: mujoco.batch.Batch,
+        fields: Fields,
+        touched: tuple[str, ...],
+        drives: "tuple[tuple[Drive, Site], ...]",
+    ) -> None:
         self._fields = fields
         self.qpos: Array = batch.bind("qpos")
         self.qvel: Array = batch.bind("qvel")
@@ -51,7 +68,11 @@ class Live:
         self.bias: Array = batch.bind("qfrc_bias")
         self.passive: Array = batch.bind("qfrc_passive")
         self.force: Array = batch.bind("actuator_force")
+        self.model = batch.model
         self.step = float(batch.model.opt.timestep)
+        self._torque = fields.torque
+        self.applied[...] = fields.torque
+        self.drives: tuple[tuple[Drive, Site], ...] = drives
         self.base: dict[str, Array] = {name: np.array(fields[name]) for name in touched}
 
     def __getitem__(self, name: str) -> Array:
@@ -60,6 +81,6 @@ class Live:
 
     def restore(self) -> None:
         """Undoes what the hooks wrote for the last step."""
-        self.applied[...] = 0.0
+        self.applied[...] = self._torque
         for name, values in self.base.items():
             self._fields[name][...] = values

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model of a rig: its drives, its effects, and the value of everything. Read from config/models/NAME.yaml."""
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ import yaml
 from labyrinth_sim.config import find
 from labyrinth_sim.effect import Drive, Effect, Parameter, drives, effects
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.rig import BALL_SIGNALS, Rig, load_rig, read_yaml
+from labyrinth_sim.rig import Rig, load_rig, read_yaml
 
 PLAIN = {
     "joint": (
@@ -38,8 +39,8 @@ class Value:
 class ParameterInfo:
     """One number of a model that can be set or fitted.
 
-    `off` is the value at which its effect vanishes, None where there is no such value; `default` what holds where the model
-    says nothing.
+    `off` is the value at which its effect vanishes, None where there is no such value; `default` what holds where the
+    model says nothing.
     """
 
     name: str
@@ -103,7 +104,9 @@ class Model:
                 yield _info(f"drive.{axis}.{p.name}", p, p.typical, drive.values.get(p.name))
         for use in self.effects:
             for p in use.effect.parameters:
-                yield _info(f"{use.effect.name}.{use.place}.{p.name}", p, use.effect.off[p.name], use.values.get(p.name))
+                yield _info(
+                    f"{use.effect.name}.{use.place}.{p.name}", p, use.effect.off[p.name], use.values.get(p.name)
+                )
         for name, (p, default) in self._plain().items():
             yield _info(name, p, default, self.quantities.get(name))
 
@@ -196,6 +199,8 @@ def places(rig: Rig, effect: Effect) -> tuple[str, ...]:
         return ("ball",) if rig.ball else ()
     if effect.where == "signal":
         return tuple(m.signal for m in rig.measured if m.quantity == "position")
+    if "ball" in effect.needs and rig.ball is None:
+        return ()
     if "other_axis" in effect.needs and len(rig.axes) < 2:
         return ()
     return tuple(axis.name for axis in rig.axes if axis.belt or "belt" not in effect.needs)
@@ -207,7 +212,11 @@ def effect_complaints(rig: Rig, effect: Effect, place: str) -> list[str]:
     if place in valid:
         return []
     if not valid:
-        lacks = "no ball" if effect.where == "ball" else f"nothing for it to act on (it needs {', '.join(effect.needs)})"
+        lacks = (
+            "no ball"
+            if effect.where == "ball" or "ball" in effect.needs
+            else f"nothing for it to act on (it needs {', '.join(effect.needs)})"
+        )
         return [f"{effect.name} cannot act on rig '{rig.name}': the rig has {lacks}."]
     return [f"{effect.name} acts on each {effect.where}. {unknown_name(effect.where, place, valid)}"]
 
@@ -259,7 +268,7 @@ def load_model(name: str | Path, effects_folder: Path | str | None = None) -> Mo
     )
     try:
         plain = model._plain()
-        quantities = {}
+        quantities: dict[str, Value] = {}
         for full, entry in (data.get("quantities") or {}).items():
             if full not in plain:
                 complaints.append(f"{path}: {unknown_name('quantity', full, plain)}")
@@ -305,7 +314,11 @@ def _effects(
         return
     seen: set[tuple[str, str]] = set()
     for entry in data:
-        if not isinstance(entry, dict) or set(entry) - {"name", "place", "values"} or not {"name", "place"} <= set(entry):
+        if (
+            not isinstance(entry, dict)
+            or set(entry) - {"name", "place", "values"}
+            or not {"name", "place"} <= set(entry)
+        ):
             complaints.append(f"{path}: an effect needs name, place and values, got {entry!r}.")
             continue
         name, place = str(entry["name"]), str(entry["place"])
@@ -317,7 +330,9 @@ def _effects(
             complaints.append(f"{path}: {name} occurs twice at '{place}'.")
         seen.add((name, place))
         where = f"{path}: {name}.{place}"
-        yield EffectUse(library[name], place, _values(where, library[name].parameters, entry.get("values") or {}, complaints))
+        yield EffectUse(
+            library[name], place, _values(where, library[name].parameters, entry.get("values") or {}, complaints)
+        )
 
 
 def _values(where: str, declared: tuple[Parameter, ...], data: Any, complaints: list[str]) -> dict[str, Value]:
@@ -358,10 +373,8 @@ def save_model(model: Model, path: Path) -> Path:
         InputError: the file exists or cannot be written.
     """
     rig = str(model.rig.path) if model.rig.path else model.rig.name
-    try:
+    with contextlib.suppress(InputError):
         rig = model.rig.name if find("rigs", model.rig.name) == model.rig.path else rig
-    except InputError:
-        pass
     data: dict[str, Any] = {"name": path.stem, "rig": rig}
     if model.description:
         data["description"] = model.description
@@ -373,7 +386,9 @@ def save_model(model: Model, path: Path) -> Path:
         data["quantities"] = _plain_values(model.quantities)
     if model.provenance:
         data["provenance"] = dict(model.provenance)
-    text = "# SPDX-License-Identifier: Apache-2.0\n" + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=120)
+    text = "# SPDX-License-Identifier: Apache-2.0\n" + yaml.safe_dump(
+        data, sort_keys=False, allow_unicode=True, width=120
+    )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:

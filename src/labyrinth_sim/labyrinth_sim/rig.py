@@ -40,7 +40,7 @@ class Axis:
         command: command channel, the joint's name in NS/joint_commands (rad).
         actuator, joint: of the MJCF; the drive's feedback is the joint's position.
         measured: the signals of this axis.
-        load_joint, belt: joint behind a belt and the fixed tendon that is the belt; None where the load sits on the shaft.
+        load_joint, belt: joint behind a belt and the fixed tendon that is the belt, or None.
         limits: rad, allowed targets.
     """
 
@@ -120,7 +120,9 @@ def load_rig(name: str | Path) -> Rig:
     complaints += [f"{path}: '{key}' is missing." for key in ("name", "mjcf", "axes") if key not in data]
     if complaints:
         raise InputError(complaints)
-    axes = [_axis(path, key, entry, complaints) for key, entry in _mapping(path, "axes", data["axes"], complaints).items()]
+    axes = [
+        _axis(path, key, entry, complaints) for key, entry in _mapping(path, "axes", data["axes"], complaints).items()
+    ]
     if not axes:
         complaints.append(f"{path}: 'axes' must name at least one axis.")
     files: dict[str, Path | None] = {}

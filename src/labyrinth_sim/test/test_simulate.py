@@ -49,7 +49,9 @@ def test_a_batch_is_its_simulations(model: Model, commands: np.ndarray) -> None:
 
 @pytest.mark.parametrize("ball", [False, True])
 def test_the_live_stepper_is_the_batch(model: Model, commands: np.ndarray, ball: bool) -> None:
-    rich = model.with_effect("load_friction", "x").with_effect("sensor_bias", "board_y").with_effect("command_delay", "y")
+    rich = (
+        model.with_effect("load_friction", "x").with_effect("sensor_bias", "board_y").with_effect("command_delay", "y")
+    )
     rich = rich.with_effect("camera_latency", "ball")
     block = commands.copy()
     block[100:120, 0] = np.nan

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A position servo that sets a duty cycle in proportion to its error, with a DC motor behind it.
 
-Two MuJoCo actuators do it natively: a position servo whose force range is the torque at full duty, and the back-EMF, which
-the limit on the duty does not touch.
+Two MuJoCo actuators do it natively: a position servo whose force range is the torque at full duty, and the back-EMF,
+which the limit on the duty does not touch.
 """
 
 import mujoco
@@ -36,7 +36,7 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     fields["actuator_biasprm"][:, servo, 1] = -stiffness
     fields["actuator_forcerange"][:, servo, 0] = -stall
     fields["actuator_forcerange"][:, servo, 1] = stall
-    fields["actuator_biasprm"][:, emf, 2] = -values["torque_constant"] ** 2 / values["resistance"]
+    fields["actuator_biasprm"][:, emf, 2] = -(values["torque_constant"] ** 2) / values["resistance"]
     fields["dof_armature"][:, site.dof] = values["armature"]
 
 
@@ -53,15 +53,20 @@ def supply(live: Live, site: Site, factor: Array) -> None:
 DRIVE = Drive(
     name="pwm_servo",
     title="Position servo by duty cycle, with a DC motor",
-    physics="The duty cycle is proportional to the error up to full duty; the motor's torque is what supply voltage less "
+    physics="The duty cycle is proportional to the error up to full duty; the motor's torque is what supply "
+    "voltage less "
     "back-EMF drives through its resistance.",
     equation="duty = clip(k_p g (target - angle), -1, 1); torque = k_t (duty V - k_t speed) / R",
     parameters=(
         Parameter("kp", "1", 1.0, 4000.0, None, 200.0, "firmware's position gain, a register"),
-        Parameter("duty_gain", "1/rad", 1e-4, 0.1, None, 4096 / (2 * 3.141592653589793) / (256 * 885), "duty per rad and k_p"),
+        Parameter(
+            "duty_gain", "1/rad", 1e-4, 0.1, None, 4096 / (2 * 3.141592653589793) / (256 * 885), "duty per rad and k_p"
+        ),
         Parameter("voltage", "V", 3.0, 30.0, None, 7.4, "supplies of such servos"),
         Parameter("resistance", "ohm", 0.1, 50.0, None, 3.0, "windings of such motors"),
-        Parameter("torque_constant", "N m/A", 0.01, 10.0, None, 0.5, "behind the gear; stall torque over stall current"),
+        Parameter(
+            "torque_constant", "N m/A", 0.01, 10.0, None, 0.5, "behind the gear; stall torque over stall current"
+        ),
         Parameter("armature", "kg m^2", 1e-5, 0.2, None, 0.005, "rotor times gear ratio squared"),
         Parameter("delay", "s", 0.0, 0.05, None, 0.0, "bus and firmware"),
     ),

@@ -70,7 +70,9 @@ DRIVE = Drive(
         Parameter("i", "1/s^2", -20.0, 20.0, None, 0.0, "the paper's search range"),
         Parameter("d", "1/s", -20.0, 20.0, None, 0.0, "the paper's search range; at 10 ms a sample"),
         Parameter("delay", "s", 0.0, 0.05, None, 0.0, "the paper's search range"),
-        Parameter("speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff beside 0.01 kg m^2 of armature"),
+        Parameter(
+            "speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff beside 0.01 kg m^2 of armature"
+        ),
         Parameter("torque", "N m", 0.01, 10.0, None, 2.8, "hobby servo to MX-106 (8.4 N m)"),
     ),
     spec=spec,

@@ -26,8 +26,10 @@ def measure(values: Values, site: Site, step: float, start: Array) -> Play | Non
 EFFECT = Effect(
     name="backlash",
     title="Backlash (belt slack)",
-    physics="Between driven and driving side lies a gap that must be crossed at every reversal before force is passed on.",
-    equation="belt torque = k (s - clip(s, -w/2, w/2)), s = r motor - board; without a belt, angle' trails by at most w/2",
+    physics="Between driven and driving side lies a gap that must be crossed at every reversal before force "
+    "is passed on.",
+    equation="belt torque = k (s - clip(s, -w/2, w/2)), s = r motor - board; without a belt, angle' trails "
+    "by at most w/2",
     parameters=(
         Parameter("width", "rad", 0.0, 0.06, 0.0, 0.015, "0 to 3.4 deg; toy belts and worn gears show 0.5 to 2 deg"),
     ),
@@ -35,7 +37,8 @@ EFFECT = Effect(
     mark="After each reversal the load stands still for the width of the gap while the motor already turns; a loop of "
     "constant width when load is drawn over motor.",
     confused_with=("coulomb_friction", "dead_band", "load_friction", "direction_friction", "sensor_quantisation"),
-    separated_by="Slow triangles of two amplitudes with encoder and potentiometer: backlash widens the loop between the two, "
+    separated_by="Slow triangles of two amplitudes with encoder and potentiometer: backlash widens the loop "
+    "between the two, "
     "friction the one between command and encoder.",
     fields=fields,
     measure=measure,

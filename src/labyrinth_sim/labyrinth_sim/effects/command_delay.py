@@ -17,7 +17,9 @@ EFFECT = Effect(
     physics="A command reaches the drive a fixed time after it was sent: bus, scheduler, firmware.",
     equation="u'(t) = u(t - T)",
     parameters=(
-        Parameter("delay", "s", 0.0, 0.15, 0.0, 0.03, "0 to three times the paper's 50 ms: serial bus plus a busy host"),
+        Parameter(
+            "delay", "s", 0.0, 0.15, 0.0, 0.03, "0 to three times the paper's 50 ms: serial bus plus a busy host"
+        ),
     ),
     stage="command",
     mark="Everything measured starts late by the same time after every command, encoder and board alike.",

@@ -23,7 +23,8 @@ EFFECT = Effect(
         Parameter("share", "1", 0.0, 0.45, 0.0, 0.15, "0 to just below 0.5, where a gear of this kind locks itself"),
     ),
     stage="force",
-    mark="The axis stops short of its target by more where it carries more load; hardly any friction where it carries none.",
+    mark="The axis stops short of its target by more where it carries more load; hardly any friction "
+    "where it carries none.",
     confused_with=("coulomb_friction", "directional_load_friction", "direction_friction", "backlash", "gravity_load"),
     separated_by="Slow triangles about positions with high and with low load: the loop widens with the load.",
     touches=("dof_frictionloss",),

@@ -18,7 +18,9 @@ EFFECT = Effect(
     physics="The sensor's zero is not the angle's zero.",
     equation="angle' = angle + b",
     parameters=(
-        Parameter("bias", "rad", -0.1, 0.1, 0.0, 0.02, "+-6 deg: a potentiometer glued on by eye, a horn one tooth off"),
+        Parameter(
+            "bias", "rad", -0.1, 0.1, 0.0, 0.02, "+-6 deg: a potentiometer glued on by eye, a horn one tooth off"
+        ),
     ),
     stage="measurement",
     mark="One signal is shifted by the same angle at all times; the others are not.",

@@ -9,8 +9,6 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from labyrinth_msgs.msg import BallEvent, BallState
-from labyrinth_msgs.srv import LoadModel
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
@@ -18,18 +16,20 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from labyrinth_msgs.msg import BallEvent, BallState
+from labyrinth_msgs.srv import LoadModel
+from labyrinth_sim.ball import ON_BOARD, OVER_THE_RIM, BallGame
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.stepper import Stepper
-from labyrinth_sim.trials import Array
 
 RELIABLE = QoSProfile(depth=50)
 CATCH_UP = 0.25  # s; a longer hiccup is skipped rather than caught up
-LOST_BELOW = -0.01  # m under the board's floor
 
 
 class SimNode(Node):
@@ -50,6 +50,8 @@ class SimNode(Node):
         self._noise = float(self.get_parameter("noise").value)
         self._random = np.random.default_rng(int(self.get_parameter("seed").value))
         self._rate = rate
+        self._model: Model
+        self._stepper: Stepper
         self._use(load_model(str(self.get_parameter("model").value)))
         topics = self._model.rig.topics
         qos = {"qos_profile": RELIABLE, "qos_overriding_options": QoSOverridingOptions.with_default_policies()}
@@ -72,7 +74,13 @@ class SimNode(Node):
         self.get_logger().info(f"Simulates '{self._model.name}' at {1 / self._stepper.step:g} Hz under {prefix}.")
 
     def _declare(
-        self, name: str, default: object, text: str, low: float | None = None, high: float | None = None, read_only: bool = True
+        self,
+        name: str,
+        default: object,
+        text: str,
+        low: float | None = None,
+        high: float | None = None,
+        read_only: bool = True,
     ) -> None:
         about = ParameterDescriptor(description=text, read_only=read_only)
         if low is not None and high is not None:
@@ -95,6 +103,7 @@ class SimNode(Node):
             self._last = stepper.reset()
         self._model, self._stepper = model, stepper
         self._lost = False
+        self._game = _game(stepper)
 
     def _pose(self) -> dict[str, float]:
         now = dict(zip(self._stepper.signals, self._last, strict=True))
@@ -109,8 +118,8 @@ class SimNode(Node):
         if unknown or len(names) != len(angles) or np.isinf(angles).any():
             self._refused += 1
             self.get_logger().warning(
-                f"Refused a command with names {names} and {len(angles)} positions; expected finite positions (rad, NaN "
-                f"switches the drive off) for some of {', '.join(channels)}.",
+                f"Refused a command with names {names} and {len(angles)} positions; expected finite positions (rad; "
+                f"NaN switches the drive off) for some of {', '.join(channels)}.",
                 throttle_duration_sec=1.0,
             )
             return
@@ -171,23 +180,12 @@ class SimNode(Node):
         message = BallState(visible=not self._lost)
         message.header.stamp, message.header.frame_id = stamp, "board"
         message.x, message.y = (float(v) for v in self._last[-2:])
-        place = self._stepper.ball()
-        if not self._lost and place[2] < LOST_BELOW:
-            self._lost = True
-            message.visible = False
-            self._event(stamp, BallEvent.LOST, self._hole(place))
+        if self._game and not self._lost:
+            hole = int(self._game.loss(self._game.position(self._stepper.qpos)))
+            if hole != ON_BOARD:
+                self._lost, message.visible = True, False
+                self._event(stamp, BallEvent.LOST, -1 if hole == OVER_THE_RIM else hole)
         self._balls.publish(message)
-
-    def _hole(self, place: Array) -> int:
-        """Number of the hole under a place (3,) of the board's frame; -1 where there is none."""
-        mj = self._stepper.mj
-        holes = [mj.site(i) for i in range(mj.nsite) if mj.site(i).name.startswith("hole_")]
-        if not holes or self._model.rig.ball is None:
-            return -1
-        origin = mj.site(self._model.rig.ball.site).pos[:2]
-        away = [float(np.hypot(*(hole.pos[:2] - origin - place[:2]))) for hole in holes]
-        nearest = int(np.argmin(away))
-        return int(holes[nearest].name.removeprefix("hole_")) if away[nearest] < 0.03 else -1
 
     def _event(self, stamp: Time, kind: int, hole: int) -> None:
         event = BallEvent(kind=kind, hole=hole)
@@ -254,10 +252,20 @@ class SimNode(Node):
         self._late = 0
 
 
+def _game(stepper: Stepper) -> BallGame | None:
+    """The rules by which the ball is lost; None on a rig that is no labyrinth."""
+    try:
+        return BallGame.of(stepper.mj) if stepper.with_ball else None
+    except InputError:
+        return None
+
+
 def main() -> None:
     """Runs the node until it is interrupted; exit code 2 for bad parameters."""
-    rclpy.init(args=sys.argv)
-    signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
+    # rclpy's own handlers would close the context under a callback that is still publishing.
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         node = SimNode()
     except Exception as error:  # parameters that ROS or we refuse

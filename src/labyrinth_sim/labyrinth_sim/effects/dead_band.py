@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead band of the position law."""
+
+import numpy as np
+
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.trials import Array
+
+
+def error(values: Values, error: Array) -> Array:
+    return error - np.clip(error, -values["half_width"], values["half_width"])
+
+
+EFFECT = Effect(
+    name="dead_band",
+    title="Dead band",
+    physics="The servo ignores errors below its compliance margin.",
+    equation="e' = e - clip(e, -w, w)",
+    parameters=(Parameter("half_width", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of compliance margin"),),
+    stage="drive",
+    mark="The axis stops short of its target by a fixed angle on the side it came from; small commands do nothing.",
+    confused_with=("coulomb_friction", "backlash", "command_quantisation", "stribeck_friction", "load_friction"),
+    separated_by="Hold a target and look at the effort: friction leaves the motor pushing, a dead band leaves it idle.",
+    error=error,
+)

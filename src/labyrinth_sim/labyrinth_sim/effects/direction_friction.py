@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Direction-dependent friction: a symmetric part by MuJoCo's frictionloss and a constant torque."""
+
+import numpy as np
+
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.live import Fields
+from labyrinth_sim.site import Site
+
+
+def fields(fields: Fields, site: Site, values: Values) -> None:
+    half = values["torque"] / 2
+    fields["dof_frictionloss"][:, site.dof] += np.abs(half)
+    fields.torque[:, site.dof] -= half
+
+
+EFFECT = Effect(
+    name="direction_friction",
+    title="Direction-dependent friction",
+    physics="Teeth and bearings rub more in one direction of turning than in the other.",
+    equation="F = T for speed > 0 and 0 for speed < 0 if T > 0; the other way round if T < 0",
+    parameters=(
+        Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "as large as Coulomb friction at most, of either sign"),
+    ),
+    stage="mjcf",
+    mark="The axis stops short of its target coming from one side only.",
+    confused_with=("coulomb_friction", "gravity_load", "load_friction", "sensor_bias", "directional_load_friction"),
+    separated_by="Slow triangles about several positions: the difference between up and down stays, that of a "
+    "gravity load "
+    "changes.",
+    fields=fields,
+)

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Load-dependent friction with the direction of power: MuJoCo's frictionloss, set anew before every step."""
+
+import numpy as np
+
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.live import Live
+from labyrinth_sim.site import Site
+
+
+def step(live: Live, site: Site, values: Values) -> None:
+    dof = site.dof
+    motor, outside = live.actuator[:, dof], live.passive[:, dof] - live.bias[:, dof]
+    share = np.where(np.abs(motor) >= np.abs(outside), values["driving"], values["driven"])
+    live["dof_frictionloss"][:, dof] += share * np.abs(motor - outside)
+
+
+EFFECT = Effect(
+    name="directional_load_friction",
+    title="Load friction by direction of power",
+    physics="A gear loses a different share of the torque when the motor drives the load than when the load drives the "
+    "motor.",
+    equation="F = mu |motor torque - load torque|, mu = mu_1 where the motor is the stronger, else mu_2; "
+    "torque = -F sign(speed)",
+    parameters=(
+        Parameter("driving", "1", 0.0, 0.45, 0.0, 0.1, "0 to just below 0.5, where the gear locks itself"),
+        Parameter("driven", "1", 0.0, 0.45, 0.0, 0.2, "0 to just below 0.5, where the gear locks itself"),
+    ),
+    stage="force",
+    mark="The axis sticks more where it lowers a load than where it lifts the same one, or the other way round.",
+    confused_with=("load_friction", "coulomb_friction", "direction_friction"),
+    separated_by="Lift and lower the same load slowly: with plain load friction both lose the same share.",
+    touches=("dof_frictionloss",),
+    step=step,
+)

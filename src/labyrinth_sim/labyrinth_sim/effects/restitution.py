@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Restitution of the ball."""
+
+import numpy as np
+
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.live import Fields
+from labyrinth_sim.site import Site
+
+
+def fields(fields: Fields, site: Site, values: Values) -> None:
+    bounce = values["coefficient"]
+    log = np.log(np.where(bounce > 0, bounce, 0.5))
+    damping = np.where(bounce > 0, -log / np.sqrt(np.pi**2 + log**2), 1.0)
+    # The same stiffness at any damping: the time constant of solref grows as the damping ratio falls.
+    fields["geom_solref"][:, site.ball_geom, 0] /= damping
+    fields["geom_solref"][:, site.ball_geom, 1] *= damping
+
+
+EFFECT = Effect(
+    name="restitution",
+    title="Restitution",
+    physics="The ball bounces off walls with a part of its speed.",
+    equation="speed after = -e speed before",
+    parameters=(Parameter("coefficient", "1", 0.0, 0.9, 0.0, 0.5, "steel on wood bounces with 0.3 to 0.7"),),
+    stage="mjcf",
+    mark="The ball comes back from walls instead of staying at them.",
+    confused_with=("rolling_friction",),
+    separated_by="Roll the ball straight at a wall at two tilts and compare the speeds before and after.",
+    where="ball",
+    fields=fields,
+)

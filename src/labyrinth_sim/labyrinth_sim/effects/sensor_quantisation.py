@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensor quantisation."""
+
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.filters import Map, rounded
+from labyrinth_sim.site import Site
+from labyrinth_sim.trials import Array
+
+
+def measure(values: Values, site: Site, step: float, start: Array) -> Map:
+    tick = values["tick"]
+    return Map(lambda angle: rounded(angle, tick))
+
+
+EFFECT = Effect(
+    name="sensor_quantisation",
+    title="Sensor quantisation",
+    physics="The sensor knows whole ticks only.",
+    equation="angle' = q round(angle / q)",
+    parameters=(
+        Parameter("tick", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of a 10-bit converter over 300 deg (5.1 mrad)"),
+    ),
+    stage="measurement",
+    mark="One signal takes few values, all multiples of one angle.",
+    confused_with=("command_quantisation", "backlash"),
+    separated_by="Compare the sensors of one axis under a slow ramp: a coarse sensor shows stairs that the other "
+    "does not.",
+    where="signal",
+    order=40,
+    measure=measure,
+)
