@@ -45,7 +45,7 @@ class Command:
         return hashlib.sha256(content.encode()).hexdigest()
 
     def sample(self, rate: float) -> tuple[Array, Array]:
-        """time (T,) in s from zero up to but without the duration, and commands (T, u) in rad, `rate` samples a second."""
+        """time (T,) in s from zero up to but without the duration, and commands (T, u) in rad, at `rate` Hz."""
         # The small term keeps a shape that starts on a sample from being seen a sample late by rounding.
         time = np.arange(math.ceil(self.duration * rate - 1e-6)) / rate
         return time, np.column_stack([self._channel(column, time + 1e-9) for column in range(len(self.channels))])

@@ -15,6 +15,7 @@ import yaml
 
 from eps_tunnel_analysis.sequence import Command, Sequence
 from eps_tunnel_analysis.sequence_shapes import SHAPES, Shape
+from labyrinth_sim import config
 from labyrinth_sim.errors import InputError, unknown_name
 
 SUFFIXES = {"s": "_s", "Hz": "_hz", "rad": "_deg", "1": ""}
@@ -42,29 +43,16 @@ def parse_sequence(document: object, name: str, source: str) -> Sequence:
     return sequence
 
 
-def find_sequence(name: str, folder: Path | None = None) -> Sequence:
-    """The sequence of a file's path or of a bare name in `folder` (those that come with the package, unless given).
+def find_sequence(name: str) -> Sequence:
+    """The sequence of a file's path, or of a name among config/sequences; `NAME/COMMAND` is that one command of it.
 
-    `NAME/COMMAND` gives that one command of it. Raises InputError listing the names.
+    Raises InputError listing the names.
     """
-    if name.endswith((".yaml", ".yml")):
-        return load_sequence(Path(name).expanduser())
-    files = {path.stem: path for path in (folder or sequence_folder()).glob("*.yaml")}
-    stem, _, part = name.partition("/")
-    if stem not in files:
-        raise InputError(unknown_name("sequence", stem, files) + " Or give the path of a .yaml file.")
-    sequence = load_sequence(files[stem])
-    return replace(sequence, commands=(sequence.command(part),)) if part else sequence
-
-
-def sequence_folder() -> Path:
-    """Where the sequences lie that come with the package, installed or in its source tree."""
-    tails = (Path("share/eps_tunnel_analysis/config/sequences"), Path("config/sequences"))
-    for parent in Path(__file__).resolve().parents:
-        for tail in tails:
-            if (parent / tail).is_dir():
-                return parent / tail
-    raise InputError("The sequences that come with the package are not installed. Give the path of a sequence file.")
+    stem, slash, part = name.partition("/")
+    if not slash or name.endswith((".yaml", ".yml")):
+        return load_sequence(config.find("sequences", name))
+    sequence = load_sequence(config.find("sequences", stem))
+    return replace(sequence, commands=(sequence.command(part),))
 
 
 class _UniqueKeys(yaml.SafeLoader):

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eps_tunnel_analysis.sequence import Command, Sequence
-from eps_tunnel_analysis.sequence_file import find_sequence, load_sequence, parse_sequence, sequence_folder
+from eps_tunnel_analysis.sequence_file import find_sequence, load_sequence, parse_sequence
 from eps_tunnel_analysis.sequence_shapes import SHAPES, Chirp, Hold, Prbs, Ramp, Shape, Sine, Step, Triangle
+from labyrinth_sim import config
 from labyrinth_sim.errors import InputError
 
 angles = st.floats(-0.2, 0.2)
@@ -103,7 +104,9 @@ def test_single_rotations_go_from_zero_to_every_half_degree(axis: str, top: floa
     assert len({command.hash for command in sequence.commands}) == len(targets)
 
 
-@pytest.mark.parametrize("path", sorted(sequence_folder().glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [config.find("sequences", name) for name in config.names("sequences")], ids=lambda p: p.stem
+)
 def test_every_sequence_that_comes_along_stays_within_the_boards_limits(path: Path) -> None:
     sequence = load_sequence(path)
     sequence.check_limits(
@@ -221,10 +224,12 @@ def test_a_bad_file_is_named_with_what_is_wrong(tmp_path: Path, text: str, compl
 
 
 def test_an_unknown_sequence_lists_those_there_are() -> None:
-    with pytest.raises(InputError, match="Did you mean 'paper_8s'.*excite_12s, paper_8s, rotations_x"):
+    with pytest.raises(InputError, match=r"Did you mean 'paper_8s'.*excite_12s, paper_8s, rotations_x"):
         find_sequence("paper8s")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="Unknown sequence"):
         find_sequence("nowhere.yaml")
+    with pytest.raises(InputError, match="cannot be read"):
+        load_sequence(Path("nowhere.yaml"))
 
 
 def test_targets_beyond_the_limits_are_refused() -> None:

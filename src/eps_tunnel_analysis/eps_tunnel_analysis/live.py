@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gap while it is measured: stamped samples of both sides in, judged samples and shares out.
+
+Trials are put together on the grid that `recording` uses and judged by the functions that `compare` uses, so the
+figures after a run are those computed from its bags.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.alikeness import KS, Alikeness, alikeness
+from eps_tunnel_analysis.recording.recording import TrialMark
+from eps_tunnel_analysis.recording.resample import interpolate
+from eps_tunnel_analysis.recording.trials_from_bags import MAX_GAP, RATE
+from eps_tunnel_analysis.tunnel import HALF_WIDTH, Tunnel, build_tunnel, smooth
+from labyrinth_sim.trials import Array, Trials
+
+REAL, SIM = "real", "sim"
+MEMORY = 2.0
+"""s of samples kept, for a start mark that comes after the samples it begins with"""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Samples judged for the first time: the tunnel of reality and the simulation in it.
+
+    Attributes:
+        real: of the real trials so far, the running one included.
+        simulated: (n, m) mean of the simulated trials.
+        alike: (n, m) at k = 1.
+        stamp: ns, of the last of the samples in the running trial.
+    """
+
+    real: Tunnel
+    simulated: Array
+    alike: NDArray[np.bool_]
+    stamp: int
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Shares of alike samples (equation 7) of one command so far.
+
+    Attributes:
+        command: its name.
+        signals: m names.
+        ks: n factors of the real tunnel.
+        shares: (m, n); NaN for a signal not seen on both sides.
+        joint: (n,) of samples alike in every signal.
+        samples: N, how many samples were judged.
+        trials: how many real trials form the tunnel, the running one included.
+        complete: whether no trial is running.
+    """
+
+    command: str
+    signals: tuple[str, ...]
+    ks: tuple[float, ...]
+    shares: Array
+    joint: Array
+    samples: int
+    trials: int
+    complete: bool
+
+
+@dataclass
+class _Stream:
+    """Samples that come with one stamp: the joint states, or the ball."""
+
+    names: tuple[str, ...]
+    recent: deque[tuple[int, Array]] = field(default_factory=deque)
+
+    @property
+    def newest(self) -> int:
+        return self.recent[-1][0] if self.recent else -1
+
+    def add(self, stamp: int, values: Array) -> bool:
+        """False for a sample that is not after its predecessor; it is dropped."""
+        if stamp <= self.newest:
+            return False
+        self.recent.append((stamp, values))
+        while len(self.recent) > 2 and self.recent[1][0] < stamp - MEMORY * 1e9:
+            self.recent.popleft()
+        return True
+
+
+class _Trial:
+    """One running trial of one side on its grid."""
+
+    def __init__(
+        self, mark: TrialMark, signals: tuple[str, ...], streams: Mapping[str, _Stream], rate: float, max_gap: float
+    ) -> None:
+        self.mark, self.signals, self._max_gap = mark, signals, max_gap
+        self.time = np.arange(math.floor(mark.duration * rate + 1e-6) + 1) / rate
+        self.grid = mark.stamp + np.round(self.time * 1e9).astype(np.int64)
+        self.values = np.full((len(self.time), len(signals)), np.nan)
+        self.ended = False
+        # Only streams that were there at the start are waited for.
+        self._streams = {key: stream for key, stream in streams.items() if stream.newest > mark.stamp - round(0.5e9)}
+        for stream in streams.values():
+            samples = list(stream.recent)
+            for before, now in zip([None, *samples[:-1]], samples, strict=True):
+                self.add(stream.names, before, now)
+
+    def add(self, names: Sequence[str], before: tuple[int, Array] | None, now: tuple[int, Array]) -> None:
+        """Fills the grid points after the sample `before` up to the sample `now`."""
+        known = [before, now] if before is not None else [now]
+        first = int(np.searchsorted(self.grid, before[0], side="right")) if before is not None else 0
+        last = int(np.searchsorted(self.grid, now[0], side="right"))
+        if first >= last:
+            return
+        stamps = np.array([sample[0] for sample in known], dtype=np.int64)
+        for column, name in enumerate(self.signals):
+            if name in names:
+                values = np.array([sample[1][names.index(name)] for sample in known])
+                self.values[first:last, column] = interpolate(stamps, values, self.grid[first:last], self._max_gap)
+
+    def ready(self) -> int:
+        """How many grid points are known for good: every stream is past them, or silent for longer than a gap."""
+        newest = [stream.newest for stream in self._streams.values()]
+        if not newest:
+            return 0
+        known = max(min(newest), max(newest) - round(self._max_gap * 1e9))
+        return int(np.searchsorted(self.grid, known, side="right"))
+
+
+@dataclass
+class _Command:
+    """All that is known of one command: finished trials per side, and what was judged."""
+
+    name: str
+    time: Array
+    signals: tuple[str, ...]
+    finished: dict[str, list[Array]]
+    alike: NDArray[np.bool_]  # (n, T, m)
+    seen: NDArray[np.bool_]  # (T, m)
+
+
+class LiveGap:
+    """Follows the gap sample by sample.
+
+    Args:
+        units: signal -> SI unit, of all that may be compared.
+        signals: those to compare; None takes what both sides measure when the first trial begins.
+        rate: Hz of the grid.
+        ks: factors of the real tunnel.
+        k_sim: factor of the simulated one.
+        max_gap: s; measurements further apart are not bridged.
+        smoothed: filter the limits by equation 12. Within a running trial the samples to come are not in it yet;
+            at its end all are judged anew.
+    """
+
+    def __init__(
+        self, units: Mapping[str, str] | None = None, signals: Sequence[str] | None = None, *, rate: float = RATE,
+        ks: Sequence[float] = KS, k_sim: float = 1.0, max_gap: float = MAX_GAP, smoothed: bool = True,
+    ) -> None:  # fmt: skip
+        self._smoothed = smoothed
+        self._units, self._signals = dict(units or {}), tuple(signals) if signals else None
+        self._rate, self._ks, self._k_sim, self._max_gap = rate, tuple(ks), k_sim, max_gap
+        self._streams: dict[str, dict[str, _Stream]] = {REAL: {}, SIM: {}}
+        self._running: dict[str, _Trial] = {}
+        self._commands: dict[str, _Command] = {}
+        self._current: _Command | None = None
+        self._judged = 0
+
+    def start(self, side: str, mark: TrialMark) -> list[Judged]:
+        """A trial begins. One that still runs on this side is left out, as it has no end."""
+        self.finish(side)
+        self._running.pop(side, None)
+        command = self._commands.get(mark.sequence_hash)
+        signals = command.signals if command is not None else self._common_signals()
+        trial = _Trial(mark, signals, self._streams[side], self._rate, self._max_gap)
+        if command is None and signals:
+            shape = (len(trial.time), len(signals))
+            command = _Command(
+                mark.sequence, trial.time, signals, {REAL: [], SIM: []},
+                np.zeros((len(self._ks), *shape), dtype=np.bool_), np.zeros(shape, dtype=np.bool_),
+            )  # fmt: skip
+            self._commands[mark.sequence_hash] = command
+        if command is None or len(command.time) != len(trial.time):
+            return []
+        self._current = command
+        self._running[side] = trial
+        self._judged = 0
+        return self._judge_new()
+
+    def add(self, side: str, stream: str, names: Sequence[str], stamp: int, values: Array) -> list[Judged]:
+        """One measurement: `values` of the signals `names` at `stamp` (ns), NaN where not measured."""
+        known = self._streams[side].get(stream)
+        if known is None or known.names != tuple(names):
+            known = self._streams[side][stream] = _Stream(tuple(names))
+        before = known.recent[-1] if known.recent else None
+        if not known.add(stamp, values) or side not in self._running:
+            return []
+        trial = self._running[side]
+        trial.add(known.names, before, (stamp, values))
+        judged = self._judge_new()
+        if trial.ended and trial.ready() >= len(trial.grid):
+            self.finish(side)
+        return judged
+
+    def end(self, side: str, mark: TrialMark) -> None:
+        """A trial was played to its end; it counts once its last samples have come."""
+        trial = self._running.get(side)
+        if trial is not None and mark.trial == trial.mark.trial and mark.sequence_hash == trial.mark.sequence_hash:
+            trial.ended = True
+            if trial.ready() >= len(trial.grid):
+                self.finish(side)
+
+    def abort(self, side: str) -> None:
+        """The running trial was given up and does not count."""
+        if self._running.pop(side, None) is not None and self._current is not None:
+            self._judge_all(self._current)
+
+    def finish(self, side: str) -> None:
+        """Closes a trial that has ended, whether or not all of its samples came. Does nothing to one still running."""
+        trial = self._running.get(side)
+        if trial is None or not trial.ended:
+            return
+        del self._running[side]
+        command = self._commands[trial.mark.sequence_hash]
+        command.finished[side].append(trial.values)
+        self._judge_all(command)
+
+    def figures(self) -> Figures | None:
+        """The shares of the command last played; None before the first sample was judged."""
+        command = self._current
+        if command is None or not command.seen.any():
+            return None
+        each = [
+            Alikeness(command.time, command.signals, k, self._k_sim, command.alike[i], command.seen)
+            for i, k in enumerate(self._ks)
+        ]
+        return Figures(
+            command=command.name,
+            signals=command.signals,
+            ks=self._ks,
+            shares=np.array([[a.shares[name] for a in each] for name in command.signals]),
+            joint=np.array([a.joint for a in each]),
+            samples=int(command.seen.any(axis=1).sum()),
+            trials=len(command.finished[REAL]) + (REAL in self._running),
+            complete=not self._running,
+        )
+
+    def _common_signals(self) -> tuple[str, ...]:
+        def measured(side: str) -> list[str]:
+            return [
+                name
+                for stream in self._streams[side].values()
+                for column, name in enumerate(stream.names)
+                if stream.recent and not np.isnan(stream.recent[-1][1][column])
+            ]
+
+        sim = measured(SIM)
+        common = tuple(name for name in measured(REAL) if name in sim)
+        return tuple(name for name in self._signals if name in common) if self._signals else common
+
+    def _tunnel(self, command: _Command, side: str, rows: slice) -> Tunnel | None:
+        """Of all trials of a side at these rows; the smoothing looks beyond them."""
+        wide = slice(max(0, rows.start - HALF_WIDTH), min(len(command.time), rows.stop + HALF_WIDTH))
+        values = [trial[wide] for trial in command.finished[side]]
+        running = self._running.get(side)
+        if running is not None and self._commands[running.mark.sequence_hash] is command:
+            values.append(running.values[wide])
+        if not values:
+            return None
+        units = tuple(self._units.get(name, "rad") for name in command.signals)
+        none = np.empty((len(values), wide.stop - wide.start, 0))
+        tunnel = build_tunnel(Trials(command.time[wide], command.signals, units, np.stack(values), (), none))
+        tunnel = smooth(tunnel) if self._smoothed else tunnel
+        inner = slice(rows.start - wide.start, rows.stop - wide.start)
+        return replace(
+            tunnel, time=tunnel.time[inner], mean=tunnel.mean[inner], lower=tunnel.lower[inner],
+            upper=tunnel.upper[inner], seen=tunnel.seen[inner],
+        )  # fmt: skip
+
+    def _judge_new(self) -> list[Judged]:
+        """Judges the samples of the running trials that both sides have reached."""
+        command = self._current
+        if command is None or not self._running:
+            return []
+        ready = min(trial.ready() for trial in self._running.values())
+        if ready <= self._judged:
+            return []
+        rows = slice(self._judged, ready)
+        self._judged = ready
+        return self._judge(command, rows)
+
+    def _judge(self, command: _Command, rows: slice) -> list[Judged]:
+        real, sim = self._tunnel(command, REAL, rows), self._tunnel(command, SIM, rows)
+        if real is None or sim is None:
+            return []
+        for i, k in enumerate(self._ks):
+            result = alikeness(real, sim, k, self._k_sim)
+            command.alike[i, rows], command.seen[rows] = result.alike, result.seen
+        running = self._running.get(SIM) or self._running.get(REAL)
+        stamp = int(running.grid[rows.stop - 1]) if running is not None else 0
+        alike = command.alike[self._ks.index(1.0), rows] if 1.0 in self._ks else alikeness(real, sim).alike
+        return [Judged(real, sim.mean, alike.copy(), stamp)]
+
+    def _judge_all(self, command: _Command) -> None:
+        """Judges anew what the finished trials tell; the samples of a running trial are in it as far as they came."""
+        command.seen[:] = False
+        command.alike[:] = False
+        self._judge(command, slice(0, len(command.time)))

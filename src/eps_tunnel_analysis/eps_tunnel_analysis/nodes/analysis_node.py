@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records both sides, and follows the gap between them while they run."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.live import Figures, Judged, LiveGap
+from eps_tunnel_analysis.live_counts import StampCounts
+from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
+from eps_tunnel_analysis.nodes.message_times import nanoseconds, to_time
+from eps_tunnel_analysis.nodes.recorder import Recorder
+from eps_tunnel_analysis.recording.recording import Phase, TrialMark
+from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, Srg, Trial, TunnelSample
+from labyrinth_msgs.srv import Record
+from labyrinth_sim.errors import InputError
+
+PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTED: "aborted"}
+FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
+UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class AnalysisNode(TunnelNode):
+    """Service /record; topics /srg, /srg/tunnel, /srg/SIGNAL/alikeness, /srg/diagnosis, /srg/counters, /diagnostics."""
+
+    def __init__(self) -> None:
+        super().__init__("analysis_node")
+        signals = self.parameter("signals", [""], "Signals to compare; empty: the positions that both sides measure")
+        ks = self.parameter("ks", list(KS), "Factors by which the real tunnel is widened", "1")
+        k_sim = self.parameter("k_sim", 1.0, "Factor by which the simulated tunnel is widened", "1", 0, 1000)
+        smoothed = self.parameter("smoothed", True, "Smooth the tunnel over 11 samples, equation 12")
+        rate = self.parameter(
+            "rate", 100.0, "Samples a second of the grid on which both sides are compared", "Hz", 1, 1000
+        )
+        max_gap = self.parameter("max_gap", 0.1, "Longest span between measurements that is bridged", "s", 0.001, 10)
+        late = self.parameter("late_after", 0.1, "Age at arrival from which a message counts as late", "s", 0.001, 60)
+        srg_rate = self.parameter("srg_rate", 10.0, "Messages a second on /srg", "Hz", 0.1, 100)
+        images = self.parameter("images", False, "Record images, too")
+        if not ks or min(ks) < 0 or len(set(ks)) != len(ks):
+            self.complain(f"Parameter 'ks': expected different numbers of at least 0, got {list(ks)}.")
+        self.check_parameters()
+        self._asked = tuple(name for name in signals if name)
+        self._fields = [suffix for suffix in FIELDS if not suffix or any(name.endswith(suffix) for name in self._asked)]
+        self._gap = LiveGap(
+            self._units(),
+            self._asked,
+            rate=rate,
+            ks=ks,
+            k_sim=k_sim,
+            max_gap=max_gap,
+            smoothed=smoothed,
+        )
+        self._counts: dict[str, StampCounts] = {}
+        self._late_after = late
+        self._stamp, self._told_trials = 0, -1
+        self._recorder = Recorder(self, SIDES, self._received, images)
+        overridable = {"qos_overriding_options": QoSOverridingOptions.with_default_policies()}
+        self._srg = self.create_publisher(Srg, "/srg", 10, **overridable)
+        self._tunnel = self.create_publisher(TunnelSample, "/srg/tunnel", 100, **overridable)
+        self._numbers: dict[str, Publisher] = {}
+        self._diagnosis = self.create_publisher(Diagnosis, "/srg/diagnosis", LATCHED)
+        self._counters = self.create_publisher(LiveCounters, "/srg/counters", 10, **overridable)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._note_models, 10)
+        self.create_service(Record, "/record", self._record)
+        self.create_timer(1 / srg_rate, self._tell_figures)
+        self.create_timer(1.0, self._tell_health)
+
+    def close(self) -> None:
+        for bag in self._recorder.bags:
+            self.get_logger().info(f"Closing {bag}.")
+        try:
+            self._recorder.stop()
+        except InputError:
+            self.exit_code = 1
+
+    def _units(self) -> dict[str, str]:
+        units = {name: UNITS[suffix] for name in self._asked for suffix in UNITS if suffix and name.endswith(suffix)}
+        return {**units, "ball_x": "m", "ball_y": "m"}
+
+    def _received(self, side: str, topic: str, raw: bytes, arrival: int) -> None:
+        name = topic.removeprefix(f"/{side}/")
+        if name == "trial":
+            self._marked(side, deserialize_message(raw, Trial), topic)
+        elif name == "joint_states":
+            message = deserialize_message(raw, JointState)
+            stamp = nanoseconds(message.header.stamp)
+            if self._counted(topic, stamp, arrival):
+                names, values = self._joint_values(message)
+                self._judged(self._gap.add(side, name, names, stamp, values))
+        elif name == "ball":
+            ball = deserialize_message(raw, BallState)
+            stamp = nanoseconds(ball.header.stamp)
+            # Where the ball is not seen there is no measurement; a gap follows.
+            if self._counted(topic, stamp, arrival) and ball.visible:
+                self._judged(self._gap.add(side, name, ("ball_x", "ball_y"), stamp, np.array([ball.x, ball.y])))
+
+    def _joint_values(self, message: JointState) -> tuple[tuple[str, ...], np.ndarray]:
+        names: list[str] = []
+        values: list[float] = []
+        for suffix in self._fields:
+            column = getattr(message, FIELDS[suffix])
+            if len(column) == len(message.name):
+                names += [f"{joint}{suffix}" for joint in message.name]
+                values += column
+        return tuple(names), np.array(values)
+
+    def _counted(self, topic: str, stamp: int, arrival: int) -> bool:
+        if topic not in self._counts:
+            self._counts[topic] = StampCounts(late_after=self._late_after)
+        return self._counts[topic].add(stamp, arrival)
+
+    def _marked(self, side: str, message: Trial, topic: str) -> None:
+        mark = TrialMark(
+            stamp=nanoseconds(message.header.stamp), topic=topic, phase=PHASES.get(message.phase, "aborted"),
+            trial=message.trial, sequence=message.sequence, sequence_hash=message.sequence_hash,
+            duration=message.duration,
+        )  # fmt: skip
+        if mark.phase == "start":
+            self._judged(self._gap.start(side, mark))
+        elif mark.phase == "end":
+            self._gap.end(side, mark)
+        else:
+            self._gap.abort(side)
+
+    def _judged(self, batches: list[Judged]) -> None:
+        for batch in batches:
+            self._stamp = batch.stamp
+            tunnel = batch.real
+            # After a pause many samples are judged at once; the newest tells where things are.
+            row = len(tunnel.time) - 1
+            message = TunnelSample(
+                time=float(tunnel.time[row]), signals=list(tunnel.signals), mean=tunnel.mean[row],
+                lower=tunnel.lower[row], upper=tunnel.upper[row], simulated=batch.simulated[row],
+                alike=batch.alike[row].tolist(),
+            )  # fmt: skip
+            message.header.stamp = to_time(batch.stamp)
+            self._tunnel.publish(message)
+
+    def _tell_figures(self) -> None:
+        figures = self._gap.figures()
+        if figures is None:
+            return
+        message = Srg(
+            signals=list(figures.signals), k=list(figures.ks), alikeness=figures.shares.ravel().tolist(),
+            joint=figures.joint.tolist(), samples=figures.samples, trials=figures.trials,
+        )  # fmt: skip
+        message.header.stamp = to_time(self._stamp)
+        self._srg.publish(message)
+        self._tell_numbers(figures)
+        if figures.complete and figures.trials != self._told_trials:
+            self._told_trials = figures.trials
+            shares = ", ".join(
+                f"k={k:g} {100 * share:.1f} %" for k, share in zip(figures.ks, figures.joint, strict=True)
+            )
+            self.get_logger().info(f"{figures.command}: {figures.trials} trials, jointly alike {shares}.")
+
+    def _tell_numbers(self, figures: Figures) -> None:
+        first = figures.ks.index(min(figures.ks))
+        for row, signal in enumerate(figures.signals):
+            if signal not in self._numbers:
+                self._numbers[signal] = self.create_publisher(Float64, f"/srg/{signal}/alikeness", 10)
+            self._numbers[signal].publish(Float64(data=float(figures.shares[row, first])))
+
+    def _record(self, request: Record.Request, response: Record.Response) -> Record.Response:
+        try:
+            if request.start:
+                if not request.folder or not request.label or "/" in request.label:
+                    raise InputError("Give a `folder`, and a `label` without '/', for the bags to record.")
+                metadata = {"sequence": request.sequence, "sequence_hash": request.sequence_hash}
+                self._recorder.look()
+                response.bags = self._recorder.start(Path(request.folder).expanduser(), request.label, metadata)
+                response.message = f"Recording {', '.join(response.bags)}."
+            else:
+                if not self._recorder.bags:
+                    raise InputError("Nothing is being recorded.")
+                response.bags = self._recorder.stop()
+                response.message = f"Recorded {', '.join(response.bags)}."
+            response.success = True
+        except InputError as error:
+            response.success, response.message = False, str(error)
+        (self.get_logger().info if response.success else self.get_logger().error)(response.message)
+        return response
+
+    def _note_models(self, message: DiagnosticArray) -> None:
+        """The simulation tells its model in its diagnostics; the bag's metadata should name it."""
+        for status in message.status:
+            for entry in status.values:
+                if entry.key == "model" and "sim" in status.name:
+                    self._recorder.models["sim"] = entry.value
+
+    def _tell_health(self) -> None:
+        self._recorder.look()
+        now = self.get_clock().now().to_msg()
+        topics = sorted(self._counts)
+        counts = [self._counts[topic] for topic in topics]
+        message = LiveCounters(
+            topics=topics, received=[c.received for c in counts], late=[c.late for c in counts],
+            lost=[c.lost for c in counts], reordered=[c.reordered for c in counts], duplicated=[c.duplicated for c in counts],
+            restarts=sum(max(0, self._recorder.matched.get(topic, 1) - 1) for topic in topics),
+            clock_jumps=sum(c.clock_jumps for c in counts),
+        )  # fmt: skip
+        message.header.stamp = now
+        self._counters.publish(message)
+        troubled = [topic for topic, c in zip(topics, counts, strict=True) if c.troubled]
+        level = DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK
+        text = f"samples went wrong on {', '.join(troubled)}" if troubled else "every sample in its place"
+        samples = DiagnosticStatus(level=level, name="analysis_node: samples", message=text)
+        for topic, c in zip(topics, counts, strict=True):
+            samples.values.append(KeyValue(key=topic, value=str(c)))
+        errors, bags = self._recorder.errors, self._recorder.bags
+        recording = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if errors else DiagnosticStatus.OK,
+            name="analysis_node: recording",
+            message=" ".join(errors) or ("recording" if bags else "not recording"),
+            values=[KeyValue(key="bag", value=bag) for bag in bags],
+        )
+        array = DiagnosticArray(status=[samples, recording])
+        array.header.stamp = now
+        self._diagnostics.publish(array)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `ros2 run eps_tunnel_analysis analysis_node`."""
+    return run_node(AnalysisNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The course of one run: return to the initial pose, wait for rest, play, mark, and so on for every trial."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from collections.abc import Sequence as SequenceOf
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+
+from eps_tunnel_analysis.motion import Array, smooth_path
+from eps_tunnel_analysis.nodes.message_times import to_time
+from eps_tunnel_analysis.nodes.progress import Progress
+from eps_tunnel_analysis.nodes.record_client import RecordClient
+from eps_tunnel_analysis.nodes.rig_side import RigSide
+from eps_tunnel_analysis.sequence import Command, Sequence
+from labyrinth_msgs.msg import Trial
+from labyrinth_sim.errors import InputError
+
+TAIL = 0.3  # s of recording after each trial, so that its last sample has a neighbour to interpolate with
+FEEDBACK = 0.2  # s between two reports of progress
+RECORD_TIMEOUT = 10.0  # s
+
+
+@dataclass(frozen=True)
+class Limits:
+    """angle: rad; speed: rad/s; the others s."""
+
+    angle: float
+    speed: float
+    rest_timeout: float
+    silence: float
+    connect_timeout: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run; bags: paths of what was recorded, also of a run that ended early."""
+
+    success: bool
+    message: str
+    bags: tuple[str, ...]
+
+
+class Ended(Exception):
+    """The run cannot go on; the text says why."""
+
+
+class Play:
+    """Plays sequences on all sides from one clock: the same tick, the same stamp."""
+
+    def __init__(
+        self, node: Node, sides: SequenceOf[RigSide], recorder: RecordClient, rate: float, limits: Limits
+    ) -> None:
+        self._clock, self._log = node.get_clock(), node.get_logger()
+        self._sides, self._recorder, self._rate, self._limits = sides, recorder, rate, limits
+
+    def check(self, sequence: Sequence) -> None:
+        """Raises InputError when the sequence leaves the limits."""
+        bound = (-self._limits.angle, self._limits.angle)
+        sequence.check_limits({channel: bound for command in sequence.commands for channel in command.channels})
+
+    def play(
+        self, sequence: Sequence, trials: int, record: bool, folder: str,
+        tell: Callable[[Progress], None], stopped: Callable[[], bool],
+    ) -> Outcome:  # fmt: skip
+        """Plays every command of the sequence `trials` times (0: as it says); one bag per side and command.
+
+        Raises InputError for what is wrong before anything moves.
+        """
+        self.check(sequence)
+        trials = trials or sequence.trials
+        run = _Run(sequence, trials, tell, stopped)
+        bags: list[str] = []
+        for side in self._sides:
+            side.target = None
+        try:
+            self._connect(sequence.commands[0], run)
+            target_folder = (Path(folder).expanduser() if folder else _fresh_folder(sequence.name)) if record else None
+            for command in sequence.commands:
+                with self._recording(target_folder, command, bags):
+                    for number in range(trials):
+                        self._trial(command, number, run)
+        except (Ended, InputError) as reason:
+            return Outcome(
+                False, f"{sequence.name} ended in trial {run.trial + 1} of {run.trials}: {reason}", tuple(bags)
+            )
+        late = 1000 * np.array(run.lateness)
+        return Outcome(
+            True,
+            f"Played {sequence.name}: {run.trials} trials on {', '.join(side.name for side in self._sides)}. "
+            f"Commands were {np.median(late):.2f} ms late in the middle, {np.percentile(late, 99):.2f} ms at 99 %, "
+            f"{late.max():.2f} ms at most.",
+            tuple(bags),
+        )
+
+    def _connect(self, command: Command, run: "_Run") -> None:
+        """Waits until every side listens and tells where its joints are."""
+        deadline = time.monotonic() + self._limits.connect_timeout
+        while missing := [reason for side in self._sides if (reason := self._missing(side, command))]:
+            if time.monotonic() > deadline:
+                raise Ended(" ".join(missing) + " Start the node of that side, or leave the side out by `sides`.")
+            run.check()
+            time.sleep(0.02)
+
+    def _missing(self, side: RigSide, command: Command) -> str:
+        commands, states = side.topics
+        if not side.listeners:
+            return f"Nobody listens to {commands}."
+        if side.silence > self._limits.silence:
+            return f"No joint states on {states}."
+        absent = [channel for channel in command.channels if not math.isfinite(side.positions.get(channel, math.nan))]
+        return f"{states} lacks {', '.join(absent)}; it has {', '.join(side.positions)}." if absent else ""
+
+    @contextmanager
+    def _recording(self, folder: Path | None, command: Command, bags: list[str]) -> Iterator[None]:
+        if folder is None:
+            yield
+            return
+        bags.extend(self._recorder.start(folder, command, RECORD_TIMEOUT))
+        try:
+            yield
+        finally:
+            self._recorder.stop(RECORD_TIMEOUT)
+
+    def _trial(self, command: Command, number: int, run: "_Run") -> None:
+        initial = np.array(command.initial)
+        paths = [smooth_path(side.pose(command), initial, self._limits.speed, self._rate) for side in self._sides]
+        steps = max(len(path) for path in paths)
+        paths = [np.vstack([path, np.repeat(path[-1:], steps - len(path), axis=0)]) for path in paths]
+        run.phase = "returning"
+        self._tick(command, paths, run)
+        run.phase = "settling"
+        self._settle(command, initial, run)
+        run.phase = "playing"
+        _, targets = command.sample(self._rate)
+        started = False
+
+        def mark(phase: int, stamp_ns: int) -> None:
+            nonlocal started
+            started = phase == Trial.START
+            for side in self._sides:
+                side.mark(to_time(stamp_ns), phase, command, number)
+
+        try:
+            start = self._tick(command, [targets] * len(self._sides), run, first=lambda ns: mark(Trial.START, ns))
+            mark(Trial.END, start + round(command.duration * 1e9))
+        finally:
+            if started:
+                mark(Trial.ABORTED, self._clock.now().nanoseconds)
+        run.phase = "recording"
+        run.trial_done()
+        tail = np.repeat(targets[-1:], math.ceil(TAIL * self._rate), axis=0)
+        self._tick(command, [tail] * len(self._sides), run)
+
+    def _settle(self, command: Command, pose: Array, run: "_Run") -> None:
+        for side in self._sides:
+            side.rest.reset()
+        deadline = time.monotonic() + self._limits.rest_timeout
+        hold = np.repeat(pose[None], max(1, round(0.05 * self._rate)), axis=0)
+        while not all(side.rest.at_rest for side in self._sides):
+            if time.monotonic() > deadline:
+                moving = "; ".join(side.restless() for side in self._sides if not side.rest.at_rest)
+                raise Ended(
+                    f"not at rest after {self._limits.rest_timeout:g} s ({moving}). Look for oscillation or noise, or "
+                    "raise `rest_speed_deg` or `rest_timeout`."
+                )
+            self._tick(command, [hold] * len(self._sides), run)
+
+    def _tick(
+        self, command: Command, rows: SequenceOf[Array], run: "_Run", first: Callable[[int], None] | None = None
+    ) -> int:
+        """Sends row after row to each side, one a tick; returns the stamp of the first in ns.
+
+        The deadlines are absolute, so that a late tick does not move those after it; the next rows go on from the last.
+        """
+        begin_ns = 0
+        for step in range(len(rows[0])):
+            now = run.wait(1 / self._rate)
+            now_ns = self._clock.now().nanoseconds
+            # The stamp is that of the tick, not of the moment it was served: even steps of time, whatever the load.
+            stamp_ns = begin_ns + round(step / self._rate * 1e9) if step else now_ns
+            if abs(stamp_ns - now_ns) > 1e9:
+                raise Ended("the clock jumped by more than a second while playing.")
+            if step == 0:
+                begin_ns = now_ns
+                if first is not None:
+                    first(now_ns)
+            stamp = to_time(stamp_ns)
+            for side, targets in zip(self._sides, rows, strict=True):
+                side.send(stamp, command, targets[step])
+            for side in self._sides:
+                if side.silence > self._limits.silence:
+                    raise Ended(
+                        f"{side.name} fell silent: no joint states for {side.silence:.1f} s on {side.topics[1]}."
+                    )
+            run.report(now)
+        return begin_ns
+
+
+class _Run:
+    """Where a run is: its clock, its progress, whether it was told to stop."""
+
+    def __init__(
+        self, sequence: Sequence, trials: int, tell: Callable[[Progress], None], stopped: Callable[[], bool]
+    ) -> None:
+        self._tell, self._stopped = tell, stopped
+        # A first guess of 2.5 s between trials; later the run's own pace counts.
+        self._work = [command.duration + 2.5 for command in sequence.commands for _ in range(trials)]
+        self.trial, self.trials, self.phase = 0, len(self._work), "returning"
+        self.lateness: list[float] = []
+        self._began = self._trial_began = time.monotonic()
+        self._next_tick = 0.0
+        self._next_report = 0.0
+
+    def check(self) -> None:
+        if self._stopped():
+            raise Ended("it was cancelled.")
+
+    def wait(self, period: float) -> float:
+        """Sleeps until the next tick and returns the monotonic time in s; ticks that were missed are dropped."""
+        self.check()
+        now = time.monotonic()
+        self._next_tick += period
+        if self._next_tick < now - period:
+            self._next_tick = now
+        if self._next_tick > now:
+            time.sleep(self._next_tick - now)
+        now = time.monotonic()
+        self.lateness.append(now - self._next_tick)
+        return now
+
+    def trial_done(self) -> None:
+        self.trial += 1
+        self._trial_began = time.monotonic()
+
+    def report(self, now: float) -> None:
+        if now < self._next_report:
+            return
+        self._next_report = now + FEEDBACK
+        total, done = sum(self._work), sum(self._work[: self.trial])
+        spent = now - self._began
+        within = min(now - self._trial_began, self._work[min(self.trial, self.trials - 1)])
+        share = min(1.0, (done + within) / total) if self.trial < self.trials else 1.0
+        pace = spent / (done + within) if self.trial and done + within > 0 else 1.0
+        self._tell(
+            Progress(min(self.trial, self.trials - 1), self.trials, self.phase, share, (1 - share) * total * pace)
+        )
+
+
+def _fresh_folder(name: str) -> Path:
+    number = 1
+    while (folder := Path("out") / f"{name.replace('/', '_')}-{number}").exists():
+        number += 1
+    return folder

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plays an action sequence on the rig and on its simulation at once, from one clock."""
+
+import math
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+
+from eps_tunnel_analysis.motion import RestWatch
+from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
+from eps_tunnel_analysis.nodes.play import Limits, Outcome, Play
+from eps_tunnel_analysis.nodes.progress import Progress, ProgressBar
+from eps_tunnel_analysis.nodes.record_client import RecordClient
+from eps_tunnel_analysis.nodes.rig_side import RigSide
+from eps_tunnel_analysis.sequence_file import find_sequence
+from labyrinth_msgs.action import PlaySequence
+from labyrinth_sim.errors import InputError
+
+
+class Player(TunnelNode):
+    """Action server /play_sequence; with the parameter `sequence` it plays that at once and ends."""
+
+    def __init__(self) -> None:
+        super().__init__("player")
+        self._sequence = self.parameter(
+            "sequence", "", "Sequence to play at once: a name or a path; empty: wait for goals"
+        )
+        self._trials = self.parameter("trials", 0, "Trials of each command; 0: as the sequence says", "-", 0, 100_000)
+        autostart = self.parameter("autostart", True, "Play `sequence` at the start, then end")
+        self._record = self.parameter("record", False, "Have the analysis node record one bag per side, at autostart")
+        self._folder = self.parameter("folder", "", "Folder for the bags, at autostart; empty: a new one under out/")
+        sides = self.sides()
+        rate = self.parameter("rate", 100.0, "Commands a second", "Hz", 1, 1000)
+        deg = math.radians
+        number = self.parameter
+        limits = Limits(
+            angle=deg(number("limit_deg", 5.0, "Largest target angle in either direction", "deg", 0, 180)),
+            speed=deg(number("return_speed_deg", 20.0, "Speed on the way to the start", "deg/s", 0.1, 1000)),
+            rest_timeout=number("rest_timeout", 20.0, "Longest wait for rest before a trial", "s", 0.1, 3600),
+            silence=self.parameter("silence_timeout", 0.5, "Longest silence of joint states", "s", 0.02, 60),
+            connect_timeout=self.parameter(
+                "connect_timeout", 10.0, "Longest wait for the sides to appear", "s", 0.1, 3600
+            ),
+        )
+        window = number("rest_time", 0.5, "How long a side must be still to be at rest", "s", 0.05, 60)
+        rest_speed = number("rest_speed_deg", 0.3, "Below this speed a joint is at rest", "deg/s", 0.001, 100)
+        self.check_parameters()
+        self._thread: threading.Thread | None = None
+        self._playing = threading.Lock()
+        rigs = [RigSide(self, side, RestWatch(window, deg(rest_speed))) for side in sides]
+        self._play = Play(self, rigs, RecordClient(self), rate, limits)
+        self._server = ActionServer(
+            self, PlaySequence, "/play_sequence", lambda _: PlaySequence.Result(), goal_callback=self._goal,
+            handle_accepted_callback=self._accepted, cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )  # fmt: skip
+        if self._sequence:
+            # A wrong name ends the process now, not when the first goal comes.
+            self._play.check(find_sequence(self._sequence))
+            if autostart and self._playing.acquire(blocking=False):
+                self._thread = threading.Thread(target=self._autostart, name="player")
+                self._thread.start()
+
+    @property
+    def busy(self) -> bool:
+        return self._playing.locked()
+
+    def close(self) -> None:
+        self._server.destroy()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _goal(self, goal: PlaySequence.Goal) -> GoalResponse:
+        if self.stopping.is_set() or not self._playing.acquire(blocking=False):
+            self.get_logger().warning(f"Refused to play '{goal.sequence}': another sequence is being played.")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _accepted(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
+        # A thread of its own keeps the clock. A blocking callback would need a multi-threaded executor, which takes
+        # twice the time of this one for every message that comes in.
+        self._thread = threading.Thread(target=self._play_goal, args=(handle,), name="player")
+        self._thread.start()
+
+    def _play_goal(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
+        goal: PlaySequence.Goal = handle.request
+
+        def tell(progress: Progress) -> None:
+            feedback = PlaySequence.Feedback(trial=progress.trial, trials=progress.trials, phase=progress.phase)
+            feedback.progress, feedback.time_left = progress.share, progress.time_left
+            handle.publish_feedback(feedback)
+
+        outcome = self._run(
+            goal.sequence or self._sequence, goal.trials or self._trials, goal.record, goal.folder, tell,
+            lambda: handle.is_cancel_requested or self.stopping.is_set(),
+        )  # fmt: skip
+        result = PlaySequence.Result(success=outcome.success, message=outcome.message, bags=list(outcome.bags))
+
+        def finish(handle: ServerGoalHandle[Any, Any, Any]) -> PlaySequence.Result:
+            try:
+                if outcome.success:
+                    handle.succeed()
+                elif handle.is_cancel_requested:
+                    handle.canceled()
+                else:
+                    handle.abort()
+            finally:
+                self._playing.release()
+            return result
+
+        handle.execute(finish)
+
+    def _run(
+        self,
+        name: str,
+        trials: int,
+        record: bool,
+        folder: str,
+        tell: Callable[[Progress], None],
+        stopped: Callable[[], bool],
+    ) -> Outcome:
+        try:
+            if not name:
+                raise InputError("No sequence named. Give the name or the path of one as the goal's `sequence`.")
+            outcome = self._play.play(find_sequence(name), trials, record, folder, tell, stopped)
+        except InputError as error:
+            outcome = Outcome(False, str(error), ())
+        log = self.get_logger()
+        (log.info if outcome.success else log.error)(outcome.message)
+        return outcome
+
+    def _autostart(self) -> None:
+        try:
+            with ProgressBar() as bar:
+                outcome = self._run(
+                    self._sequence, self._trials, self._record, self._folder, bar.show, self.stopping.is_set
+                )
+            for bag in outcome.bags:
+                print(bag)
+            if not outcome.success and not self.stopping.is_set():
+                self.exit_code = 1
+        finally:
+            self._playing.release()
+            self.stopping.set()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `ros2 run eps_tunnel_analysis player`."""
+    # The thread that keeps the clock must not wait 5 ms for one that decodes a message.
+    sys.setswitchinterval(0.0005)
+    return run_node(Player, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

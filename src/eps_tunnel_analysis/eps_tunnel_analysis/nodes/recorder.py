@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records what is published under /real and /sim into one bag per side, as it comes: serialised, nothing decoded."""
+
+import importlib
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import MessageInfo, Subscription
+from sensor_msgs.msg import JointState
+
+from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError
+from labyrinth_msgs.msg import BallEvent, BallState, Trial
+from labyrinth_sim.errors import InputError
+
+# Subscribed from the start; whatever else appears under a side's namespace is found while the node runs.
+TOPICS: Mapping[str, Any] = {
+    "joint_commands": JointState,
+    "joint_states": JointState,
+    "ball": BallState,
+    "ball_event": BallEvent,
+    "trial": Trial,
+}
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+# Deep enough for some seconds in which this process is not scheduled.
+DEEP = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+LIBRARIES = ("eps_tunnel_analysis", "labyrinth_sim", "labyrinth_hw", "mujoco", "rosbags", "numpy")
+
+Listener = Callable[[str, str, bytes, int], None]
+
+
+class Recorder:
+    """One raw subscription per topic; messages go to the side's bag and to `listen(side, topic, CDR, arrival ns)`."""
+
+    def __init__(self, node: Node, sides: Sequence[str], listen: Listener, images: bool = False) -> None:
+        self._node, self._listen, self._images = node, listen, images
+        self._writers: dict[str, BagWriter] = {}
+        self._topics: dict[str, dict[str, str]] = {side: {} for side in sides}
+        self._subscriptions: list[Subscription] = []
+        self._unknown: set[str] = set()
+        self.matched: dict[str, int] = {}
+        self.errors: list[str] = []
+        self.models: dict[str, str] = {}
+        for side in sides:
+            for name, kind in TOPICS.items():
+                self._subscribe(side, f"/{side}/{name}", kind)
+
+    @property
+    def bags(self) -> list[str]:
+        """Paths of the bags being written."""
+        return [str(writer.path) for writer in self._writers.values()]
+
+    def look(self) -> None:
+        """Subscribes to topics that are new under a side's namespace."""
+        for name, kinds in self._node.get_topic_names_and_types():
+            side = name.split("/")[1] if name.count("/") > 1 else ""
+            if side not in self._topics or name in self._topics[side] or name in self._unknown or len(kinds) != 1:
+                continue
+            if kinds[0] in IMAGES and not self._images:
+                self._unknown.add(name)
+                continue
+            package, _, rest = kinds[0].partition("/")
+            try:
+                kind = getattr(importlib.import_module(f"{package}.msg"), rest.rpartition("/")[2])
+            except (ImportError, AttributeError):
+                self._unknown.add(name)
+                self._node.get_logger().warning(f"{name} is not recorded: its type {kinds[0]} is not installed here.")
+                continue
+            self._subscribe(side, name, kind)
+
+    def start(self, folder: Path, label: str, metadata: Mapping[str, str]) -> list[str]:
+        """One new bag per side, folder/LABEL_SIDE. Raises InputError when one exists or another recording runs."""
+        if self._writers:
+            raise InputError(f"Already recording {', '.join(self.bags)}. Stop that first.")
+        paths = {side: folder / f"{label}_{side}" for side in self._topics}
+        taken = [str(path) for path in paths.values() if path.exists()]
+        if taken:
+            raise InputError(
+                f"{', '.join(taken)}: exists already and is not overwritten. Choose another folder or label."
+            )
+        self.errors.clear()
+        writers: dict[str, BagWriter] = {}
+        try:
+            for side, path in paths.items():
+                writers[side] = BagWriter(
+                    path, {**metadata, "side": side, "model": self.models.get(side, ""), **_versions()}
+                )
+                for topic, kind in self._topics[side].items():
+                    self._announce(writers[side], side, topic, kind)
+        except (InputError, RecordingError) as error:
+            for writer in writers.values():
+                writer.close()
+            raise InputError(str(error)) from error
+        self._writers = writers
+        return self.bags
+
+    def stop(self) -> list[str]:
+        """Closes the bags and returns their paths. Raises InputError when one cannot be finished."""
+        bags, writers = self.bags, list(self._writers.values())
+        self._writers = {}
+        for writer in writers:
+            try:
+                writer.close()
+            except RecordingError as error:
+                self._fail(str(error))
+        if self.errors:
+            raise InputError(self.errors)
+        return bags
+
+    def _subscribe(self, side: str, name: str, kind: Any) -> None:
+        def matched(info: QoSSubscriptionMatchedInfo) -> None:
+            self.matched[name] = info.total_count
+
+        def received(message: bytes, info: MessageInfo) -> None:
+            arrival = info["received_timestamp"] or time.time_ns()
+            writer = self._writers.get(side)
+            if writer is not None:
+                try:
+                    writer.write(topic, arrival, message)
+                except (InputError, RecordingError) as error:
+                    self._fail(str(error))
+            self._listen(side, name, message, arrival)
+
+        subscription = self._node.create_subscription(
+            kind, name, received, DEEP, raw=True, event_callbacks=SubscriptionEventCallbacks(matched=matched)
+        )
+        topic = subscription.topic_name
+        self._subscriptions.append(subscription)
+        self._topics[side][topic] = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+        if side in self._writers:
+            self._announce(self._writers[side], side, topic, self._topics[side][topic])
+
+    def _announce(self, writer: BagWriter, side: str, topic: str, kind: str) -> None:
+        try:
+            writer.add_topic(topic, kind)
+        except InputError as error:
+            self._node.get_logger().warning(str(error))
+
+    def _fail(self, message: str) -> None:
+        if message not in self.errors:
+            self.errors.append(message)
+            self._node.get_logger().error(message)
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version(), "ros": os.environ.get("ROS_DISTRO", "")}
+    for library in LIBRARIES:
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return {f"version.{key}": value for key, value in found.items() if value}
