@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from eps_tunnel_analysis.fit.cma import CmaEs
 from eps_tunnel_analysis.fit.es import EvolutionStrategy
 from eps_tunnel_analysis.fit.evaluations import Evaluations
@@ -163,7 +164,9 @@ def test_a_trade_off_is_told_as_a_combination() -> None:
     found = intervals(jac, 0.01 * rng.standard_normal(300), np.zeros(300))
     assert len(found.loose) == 1
     text = combination(found.loose[0], ("p", "d", "delay"))
-    assert "0.71 p" in text and "0.71 d" in text and "delay" not in text
+    assert "0.71 p" in text
+    assert "0.71 d" in text
+    assert "delay" not in text
 
 
 def test_jacobian_is_the_difference_quotient() -> None:

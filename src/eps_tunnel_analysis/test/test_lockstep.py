@@ -2,6 +2,7 @@
 """Laws of the side-by-side descent."""
 
 import numpy as np
+
 from eps_tunnel_analysis.fit.lockstep import descend
 
 TIME = np.linspace(0.0, 2.0, 300)
@@ -46,7 +47,8 @@ def test_a_problem_does_not_depend_on_its_neighbours() -> None:
 def test_bounds_hold_and_a_truth_beyond_them_ends_at_the_bound() -> None:
     outside = response(np.array([[1.3, 0.3, 0.5]]))[0]
     found = descend(lambda z, o: response(z) - outside, np.full((1, 3), 0.5), np.ones((1, 3), bool), rounds=30)
-    assert (found.z >= 0).all() and (found.z <= 1).all()
+    assert (found.z >= 0).all()
+    assert (found.z <= 1).all()
     assert found.z[0, 0] == 1.0
 
 
@@ -58,7 +60,8 @@ def test_a_diverged_neighbourhood_does_not_poison_the_rest() -> None:
 
     found = descend(partly, np.full((2, 3), 0.4), np.ones((2, 3), bool), rounds=30, tolerance=1e-12)
     assert np.allclose(found.z[0], TRUTH, atol=1e-4)
-    assert np.isinf(found.cost[1]) and not found.converged[1]
+    assert np.isinf(found.cost[1])
+    assert not found.converged[1]
 
 
 def test_hopeless_problems_are_stopped_early() -> None:
@@ -71,4 +74,5 @@ def test_hopeless_problems_are_stopped_early() -> None:
 
     descend(counted, starts, np.ones((2, 3), bool), rounds=10, hopeless=lambda cost: np.array([False, True]))
     assert [1 in owners for owners in asked[:3]] == [True] * 3  # the start and one round of two batches
-    assert len(asked) > 3 and all(1 not in owners for owners in asked[3:])
+    assert len(asked) > 3
+    assert all(1 not in owners for owners in asked[3:])

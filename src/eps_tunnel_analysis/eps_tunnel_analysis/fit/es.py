@@ -4,9 +4,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.trials import Array
 
 from eps_tunnel_analysis.fit.evaluations import Evaluations
+from labyrinth_sim.trials import Array
 
 
 @dataclass(frozen=True)

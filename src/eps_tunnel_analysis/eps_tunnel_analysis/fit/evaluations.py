@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.trials import Array
 
 from eps_tunnel_analysis.fit.journal import Journal
 from eps_tunnel_analysis.fit.problem import Problem
+from labyrinth_sim.trials import Array
 
 #: Called after each batch with (evaluations so far, best fitness so far).
 Progress = Callable[[int, float], None]
@@ -44,7 +44,11 @@ class Evaluations:
     def residuals(self, z: Array) -> Array:
         """(n, k) normalised values to (n, R) residuals; diverged roll-outs are rows of NaN."""
         question = np.clip(np.atleast_2d(z), 0.0, 1.0)
-        return self._ask(question, lambda: self.problem.residuals(self.problem.from_unit(question)), self.problem.fitness)
+
+        def answer() -> Array:
+            return self.problem.residuals(self.problem.from_unit(question))
+
+        return self._ask(question, answer, self.problem.fitness)
 
     def fitness(self, z: Array) -> Array:
         """(n, k) normalised values to (n,) fitness. Journals one number a row instead of R."""

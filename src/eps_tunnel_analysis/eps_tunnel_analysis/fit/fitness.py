@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+
 from labyrinth_sim.trials import Array, locked
 
 #: Fitness of a roll-out that diverged: worse than any that did not, yet finite, so that an optimiser can rank it.
@@ -14,7 +15,8 @@ DIVERGED = 1e9
 class Fitness(Protocol):
     """Smaller is better."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def __call__(self, residuals: Array) -> Array:
         """(n, R) residuals to (n,) fitness."""
@@ -52,10 +54,10 @@ class CommandError:
 class Dissimilarity:
     """1 - alikeness over k (equation 13), made optimisable.
 
-    The alikeness at one k is a step function: its slope is zero almost everywhere. A sample at distance d from the mean,
-    in a tunnel of half-width delta, turns alike at k* = d / delta; the share of samples alike, averaged evenly over all
-    k from 0 to `k_max`, is the mean of max(0, 1 - k*/k_max), which has a slope wherever a sample is inside at `k_max`.
-    Outside it a slowly growing logarithm still points home.
+    The alikeness at one k is a step function: its slope is zero almost everywhere. A sample at distance d from the
+    mean, in a tunnel of half-width delta, turns alike at k* = d / delta; the share of samples alike, averaged evenly
+    over all k from 0 to `k_max`, is the mean of max(0, 1 - k*/k_max), which has a slope wherever a sample is inside at
+    `k_max`. Outside it a slowly growing logarithm still points home.
 
     Attributes:
         lower, upper: (R,) half-widths of the measured tunnel, >= 0, in the residuals' units.

@@ -4,12 +4,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.trials import Array
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from eps_tunnel_analysis.fit.cma import CmaEs
 from eps_tunnel_analysis.fit.evaluations import Evaluations
+from labyrinth_sim.trials import Array
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from labyrinth_sim.trials import Array
 from scipy.stats import norm
+
+from labyrinth_sim.trials import Array
 
 
 @dataclass(frozen=True)

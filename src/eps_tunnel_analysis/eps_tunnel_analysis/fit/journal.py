@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checkpoint of a fit: every answer of the simulator, in the order asked.
 
-A method is a deterministic function of its seed and of the answers it gets. So a run that broke off is resumed by running
-it anew and answering from the journal until that is used up: the same answer as an unbroken run, for every method alike.
+A method is a deterministic function of its seed and of the answers it gets. So a run that broke off is resumed by
+running it anew and answering from the journal until that is used up: the same answer as an unbroken run, for every
+method alike.
 """
 
 import hashlib
@@ -12,6 +13,7 @@ from types import TracebackType
 from typing import BinaryIO, Self
 
 import numpy as np
+
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array
 
@@ -85,5 +87,7 @@ class Journal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many small least-squares problems descended side by side, so that each round is one batch of roll-outs.
 
-Levenberg-Marquardt with a few dampings tried at once, in the box [0, 1]. A round costs each problem one roll-out per free
-value for the Jacobian and one per damping for the step; the roll-outs of all problems go to the simulator together.
+Levenberg-Marquardt with a few dampings tried at once, in the box [0, 1]. A round costs each problem one roll-out per
+free value for the Jacobian and one per damping for the step; the roll-outs of all problems go to the simulator
+together.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.trials import Array
 from numpy.typing import NDArray
+
+from labyrinth_sim.trials import Array
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])
 TRUST = 1e-12

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.errors import InputError
-from labyrinth_sim.trials import Array, locked
 
 from eps_tunnel_analysis.fit.fitness import Fitness
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.trials import Array, locked
 
 Residuals = Callable[[Array], Array]
 
