@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.trials import Array
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.tunnel import Tunnel
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.trials import Array
 
 Mask = NDArray[np.bool_]
 KS = (1.0, 2.0, 3.0, 4.0, 5.0)
@@ -21,7 +21,7 @@ class Span:
     """A run of seen samples outside the tunnel.
 
     Attributes:
-        signal: its name; "joint" where at least one signal is outside.
+        signal: its name; "jointly" where it is about all signals together.
         start: s, time of the first sample outside.
         end: s, time of the last sample outside, plus one step.
         samples: how many.
@@ -70,7 +70,7 @@ class Alikeness:
     @property
     def joint(self) -> float:
         """Share of samples alike in every signal (equation 4), of those seen in every signal."""
-        return _share(self.alike.all(axis=1), self.seen.all(axis=1))
+        return _share(np.all(self.alike, axis=1), np.all(self.seen, axis=1))
 
     @property
     def unseen(self) -> dict[str, int]:
@@ -94,7 +94,7 @@ class Alikeness:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], outside, [False]]).astype(np.int8)))
         step = float(self.time[1] - self.time[0]) if len(self.time) > 1 else 0.0
         return tuple(
-            Span(signal or "joint", float(self.time[a]), float(self.time[b - 1]) + step, int(b - a))
+            Span(signal or "jointly", float(self.time[a]), float(self.time[b - 1]) + step, int(b - a))
             for a, b in edges.reshape(-1, 2)
         )
 
@@ -126,9 +126,7 @@ def alikeness(real: Tunnel, sim: Tunnel, k_real: float = 1.0, k_sim: float = 1.0
     return Alikeness(real.time, real.signals, float(k_real), float(k_sim), alike, seen)
 
 
-def alikeness_over_k(
-    real: Tunnel, sim: Tunnel, ks: Iterable[float] = KS, k_sim: float = 1.0
-) -> tuple[Alikeness, ...]:
+def alikeness_over_k(real: Tunnel, sim: Tunnel, ks: Iterable[float] = KS, k_sim: float = 1.0) -> tuple[Alikeness, ...]:
     """The alikeness at each real factor k, as in the paper's tables 2 and 3."""
     return tuple(alikeness(real, sim, k, k_sim) for k in ks)
 
@@ -151,5 +149,6 @@ def _grid(time: Array) -> str:
 
 
 def _share(alike: Mask, seen: Mask) -> float:
+    """Share of the seen samples (T,) that are alike."""
     count = int(seen.sum())
     return float(np.sum(alike & seen)) / count if count else math.nan

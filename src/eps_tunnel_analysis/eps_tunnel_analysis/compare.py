@@ -7,13 +7,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.trials import Trials
 
 from eps_tunnel_analysis.alikeness import KS, Alikeness, Span, alikeness_over_k
 from eps_tunnel_analysis.error import SignalError, signal_errors
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
 from eps_tunnel_analysis.where import Misfit, sentences, where
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.trials import Trials
 
 TRIM = 0.5  # s by which one side may be longer; the rest of it is left out and told
 
@@ -62,7 +62,13 @@ class Comparison:
             "smoothed": self.real_tunnel.smoothed,
             "k_sim": self.alikeness[0].k_sim,
             "alikeness": [
-                {"k": a.k_real, "joint": a.joint, "signals": a.shares, "unseen": a.unseen, "unseen_joint": a.joint_unseen}
+                {
+                    "k": a.k_real,
+                    "joint": a.joint,
+                    "signals": a.shares,
+                    "unseen": a.unseen,
+                    "unseen_joint": a.joint_unseen,
+                }
                 for a in self.alikeness
             ],
             "errors": [asdict(e) for e in self.errors],

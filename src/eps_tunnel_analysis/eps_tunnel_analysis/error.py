@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.trials import Array, Trials
 
 from eps_tunnel_analysis.tunnel import build_tunnel
+from labyrinth_sim.trials import Array, Trials
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,7 @@ def fitness(command_errors: Iterable[float]) -> float:
 def signal_errors(real: Trials, sim: Trials) -> tuple[SignalError, ...]:
     """One SignalError per signal, of the two means (equation 1). Both sides need the same signals and time."""
     mean_real, mean_sim = build_tunnel(real).mean, build_tunnel(sim).mean
-    return tuple(
-        _signal_error(real, i, mean_real[:, i], mean_sim[:, i], real.time) for i in range(len(real.signals))
-    )
+    return tuple(_signal_error(real, i, mean_real[:, i], mean_sim[:, i], real.time) for i in range(len(real.signals)))
 
 
 def _signal_error(real: Trials, i: int, mean_real: Array, mean_sim: Array, time: Array) -> SignalError:

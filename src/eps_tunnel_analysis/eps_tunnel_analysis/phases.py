@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.trials import Array, Trials
 from numpy.typing import NDArray
+
+from labyrinth_sim.trials import Array, Trials
 
 SETTLE = 0.5  # s after the command stopped during which the rig is still taken to be on its way
 REVERSAL = 0.25  # s after the command turned round

@@ -5,9 +5,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.trials import Array, Trials, locked
-from numpy.typing import NDArray
 
 HALF_WIDTH = 5  # samples to either side, equation 12
 

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from labyrinth_sim.trials import Array, Trials
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.phases import Phases, channel_of, mean_command, phases
 from eps_tunnel_analysis.shown import shown_value
 from eps_tunnel_analysis.tunnel import build_tunnel
+from labyrinth_sim.trials import Array, Trials
 
 MOST_AMPLITUDES = 6  # more than these are put into as many equal classes
 
@@ -69,7 +69,7 @@ def where(real: Trials, sim: Trials) -> tuple[Misfit, ...]:
 
 
 def sentences(misfits: Iterable[Misfit], most: int = 3) -> tuple[str, ...]:
-    """Where the model fails in words, worst first: phases whose share of the error is well above their share of time."""
+    """Where the model fails in words, worst first: phases with far more of the error than of the time."""
     rows = [m for m in misfits if m.kind == "phase and direction" and m.excess > 0.05 and m.rms > 0]
     return tuple(_sentence(m) for m in sorted(rows, key=lambda m: -m.excess)[:most])
 

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the alikeness, equations 4 to 7 and 13."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from labyrinth_sim.errors import InputError
+from tunnel_cases import literal_margin, literal_tunnel, make_trials, pairs, trials
 
 from eps_tunnel_analysis.alikeness import alikeness, alikeness_over_k
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
-from tunnel_cases import literal_margin, literal_tunnel, make_trials, pairs, trials
+from labyrinth_sim.errors import InputError
 
 factors = st.floats(0, 10)
 
@@ -45,7 +46,8 @@ def test_joint_needs_every_signal_at_the_same_sample():
     real = build_tunnel(make_trials(np.zeros((1, 4, 2))))
     sim = build_tunnel(make_trials([[[0, 9], [9, 0], [0, 0], [9, 9]]]))
     result = alikeness(real, sim)
-    assert result.shares == {"a": 0.5, "b": 0.5} and result.joint == 0.25
+    assert result.shares == {"a": 0.5, "b": 0.5}
+    assert result.joint == 0.25
 
 
 def test_unseen_samples_are_left_out_and_counted():
@@ -53,12 +55,15 @@ def test_unseen_samples_are_left_out_and_counted():
     real, sim = build_tunnel(column([0, nan, 0, 0, nan])), build_tunnel(column([0, 0, nan, 5, nan]))
     result = alikeness(real, sim)
     assert result.seen[:, 0].tolist() == [True, False, False, True, False]
-    assert result.shares == {"a": 0.5} and result.unseen == {"a": 3} and result.joint_unseen == 3
+    assert result.shares == {"a": 0.5}
+    assert result.unseen == {"a": 3}
+    assert result.joint_unseen == 3
 
 
 def test_a_signal_never_seen_has_no_share():
     real = build_tunnel(column([math.nan, math.nan]))
-    assert math.isnan(alikeness(real, real).shares["a"]) and math.isnan(alikeness(real, real).joint)
+    assert math.isnan(alikeness(real, real).shares["a"])
+    assert math.isnan(alikeness(real, real).joint)
 
 
 def test_spans_are_the_runs_outside_and_end_at_unseen_samples():
@@ -71,7 +76,7 @@ def test_spans_are_the_runs_outside_and_end_at_unseen_samples():
         (pytest.approx(0.02), pytest.approx(0.04)),
         (pytest.approx(0.05), pytest.approx(0.06)),
     ]
-    assert alikeness(real, sim).spans() == tuple(type(s)("joint", s.start, s.end, s.samples) for s in spans)
+    assert alikeness(real, sim).spans() == tuple(type(s)("jointly", s.start, s.end, s.samples) for s in spans)
 
 
 @given(pairs(holes=True), factors, factors)
@@ -126,7 +131,7 @@ def test_each_real_trial_is_alike_to_the_tunnel_it_helped_to_make(t, data):
 @given(pairs(), st.lists(factors, min_size=2, max_size=6))
 def test_k_is_monotone(pair, ks):
     results = alikeness_over_k(*tunnels(pair), sorted(ks))
-    for narrow, wide in zip(results, results[1:], strict=False):
+    for narrow, wide in itertools.pairwise(results):
         assert np.all(wide.alike | ~narrow.alike)
         assert wide.joint >= narrow.joint
 
@@ -135,7 +140,8 @@ def test_k_is_monotone(pair, ks):
 def test_swapping_the_sides_with_their_factors_changes_nothing(pair, k_real, k_sim):
     real, sim = tunnels(pair)
     there, back = alikeness(real, sim, k_real, k_sim), alikeness(sim, real, k_sim, k_real)
-    assert np.array_equal(there.alike, back.alike) and np.array_equal(there.seen, back.seen)
+    assert np.array_equal(there.alike, back.alike)
+    assert np.array_equal(there.seen, back.seen)
 
 
 @given(pairs(), factors, st.randoms(use_true_random=False))
@@ -186,5 +192,5 @@ def test_other_signals_units_or_times_are_refused():
         alikeness(a, build_tunnel(make_trials(np.zeros((1, 4, 2)))))
     with pytest.raises(InputError, match="same units"):
         alikeness(a, build_tunnel(make_trials(np.zeros((1, 4, 1)), unit="m")))
-    with pytest.raises(InputError, match="real has 4 samples from 0 to 0.03 s, simulation 5 samples"):
+    with pytest.raises(InputError, match=r"real has 4 samples from 0 to 0\.03 s, simulation 5 samples"):
         alikeness(a, build_tunnel(make_trials(np.zeros((1, 5, 1)))))

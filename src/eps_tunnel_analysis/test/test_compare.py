@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given
-from labyrinth_sim.errors import InputError
+from tunnel_cases import make_trials, pairs, trials
 
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.error import command_error, fitness, signal_errors
-from tunnel_cases import make_trials, pairs, trials
+from labyrinth_sim.errors import InputError
 
 
 def test_equation_10_by_hand():
@@ -30,8 +30,13 @@ def test_errors_by_hand():
     real = make_trials([[[0.0], [1.0], [0.0]], [[0.0], [3.0], [0.0]]])  # mean 0, 2, 0
     sim = make_trials([[[1.0], [0.0], [1.0]]])
     (e,) = signal_errors(real, sim)
-    assert e.command_error == pytest.approx(4 / 3) and e.rms == pytest.approx(math.sqrt(2)) and e.bias == 0
-    assert e.worst == 2 and e.worst_time == 0.01 and e.range == 2 and e.samples == 3
+    assert e.command_error == pytest.approx(4 / 3)
+    assert e.rms == pytest.approx(math.sqrt(2))
+    assert e.bias == 0
+    assert e.worst == 2
+    assert e.worst_time == 0.01
+    assert e.range == 2
+    assert e.samples == 3
     assert e.repeat_rms == pytest.approx(math.sqrt(2 / 3))  # squares 1 + 1, three degrees of freedom
 
 
@@ -51,7 +56,9 @@ def test_errors_keep_their_order(pair):
 @given(trials())
 def test_a_simulation_equal_to_reality_is_alike_and_without_error(t):
     c = compare(t, t)
-    assert all(a.joint == 1 for a in c.alikeness) and all(e.worst == 0 for e in c.errors) and c.spans == ()
+    assert all(a.joint == 1 for a in c.alikeness)
+    assert all(e.worst == 0 for e in c.errors)
+    assert c.spans == ()
 
 
 @given(pairs(holes=True))
@@ -68,23 +75,25 @@ def test_factors_are_sorted_and_told_once():
 def test_signals_of_one_side_are_left_out_and_told():
     real, sim = make_trials(np.zeros((2, 5, 2))), make_trials(np.zeros((2, 5, 3)))
     c = compare(real, sim)
-    assert c.signals == ("a", "b") and "c (simulation only)" in c.notes[0]
+    assert c.signals == ("a", "b")
+    assert "c (simulation only)" in c.notes[0]
     assert compare(real, sim, signals=["b"]).signals == ("b",)
-    with pytest.raises(InputError, match="Unknown signal 'c'.*Available signal names: a, b"):
+    with pytest.raises(InputError, match=r"Unknown signal 'c'.*Available signal names: a, b"):
         compare(real, sim, signals=["c"])
 
 
 def test_a_short_tail_is_cut_and_told_a_long_one_refused():
     real = make_trials(np.zeros((2, 130, 1)))
     c = compare(real, make_trials(np.zeros((1, 120, 1))))
-    assert len(c.real.time) == 120 and "last 0.10 s" in " ".join(c.notes)
-    with pytest.raises(InputError, match="real ends at 1.29 s, simulation at 0.09 s"):
+    assert len(c.real.time) == 120
+    assert "last 0.10 s" in " ".join(c.notes)
+    with pytest.raises(InputError, match=r"real ends at 1\.29 s, simulation at 0\.09 s"):
         compare(real, make_trials(np.zeros((1, 10, 1))))
 
 
 def test_another_step_or_unit_is_refused():
     real = make_trials(np.zeros((2, 50, 1)))
-    with pytest.raises(InputError, match="real has 0.01 s, simulation 0.02 s"):
+    with pytest.raises(InputError, match=r"real has 0\.01 s, simulation 0\.02 s"):
         compare(real, make_trials(np.zeros((1, 50, 1)), step=0.02))
     with pytest.raises(InputError, match=r"a \(rad, m\)"):
         compare(real, make_trials(np.zeros((1, 50, 1)), unit="m"))

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labyrinth_sim.errors import InputError
+from tunnel_cases import literal_smooth, literal_tunnel, make_trials, trials
 
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
-from tunnel_cases import literal_smooth, literal_tunnel, make_trials, trials
+from labyrinth_sim.errors import InputError
 
 
 def test_three_trials_by_hand():
@@ -16,7 +16,8 @@ def test_three_trials_by_hand():
     assert tunnel.mean[:, 0].tolist() == [3.0, 1.0]
     assert tunnel.lower[:, 0].tolist() == [-2.0, -1.0]
     assert tunnel.upper[:, 0].tolist() == [3.0, 2.0]
-    assert tunnel.trials == 3 and tunnel.seen.tolist() == [[3], [3]]
+    assert tunnel.trials == 3
+    assert tunnel.seen.tolist() == [[3], [3]]
 
 
 def test_smoothing_by_hand_at_an_end_and_in_the_middle():
@@ -62,7 +63,8 @@ def test_scaling_a_signal_scales_its_tunnel(t, factor):
 def test_shifting_a_signal_shifts_the_mean_only(t, shift):
     a, b = build_tunnel(t), build_tunnel(make_trials(t.values + shift))
     assert np.allclose(b.mean, a.mean + shift, atol=1e-11)
-    assert np.allclose(b.lower, a.lower, atol=1e-11) and np.allclose(b.upper, a.upper, atol=1e-11)
+    assert np.allclose(b.lower, a.lower, atol=1e-11)
+    assert np.allclose(b.upper, a.upper, atol=1e-11)
 
 
 @given(trials(p=1), st.integers(1, 7))
@@ -77,7 +79,8 @@ def test_one_trial_however_often_gives_a_width_of_exactly_zero(t, repeats):
 def test_every_trial_and_the_mean_lie_inside(t):
     tunnel = build_tunnel(t)
     seen = tunnel.seen > 0
-    assert np.all(tunnel.lower[seen] <= 0) and np.all(tunnel.upper[seen] >= 0)
+    assert np.all(tunnel.lower[seen] <= 0)
+    assert np.all(tunnel.upper[seen] >= 0)
     deviation = t.values - tunnel.mean
     assert np.all(np.isnan(deviation) | ((deviation >= tunnel.lower) & (deviation <= tunnel.upper)))
 
@@ -95,15 +98,18 @@ def test_more_trials_never_narrow_the_extremes(t):
     few, all_ = build_tunnel(make_trials(t.values[:1])), build_tunnel(t)
     low_few, high_few = few.bounds()
     low, high = all_.bounds()
-    assert np.all(low <= low_few + 1e-11) and np.all(high >= high_few - 1e-11)
+    assert np.all(low <= low_few + 1e-11)
+    assert np.all(high >= high_few - 1e-11)
 
 
 @given(trials(), st.integers(0, 20))
 def test_smoothing_keeps_the_sign_the_mean_and_the_largest_width(t, half_width):
     tunnel = build_tunnel(t)
     smoothed = smooth(tunnel, half_width)
-    assert np.all(smoothed.lower <= 0) and np.all(smoothed.upper >= 0)
-    assert np.array_equal(smoothed.mean, tunnel.mean) and smoothed.smoothed
+    assert np.all(smoothed.lower <= 0)
+    assert np.all(smoothed.upper >= 0)
+    assert np.array_equal(smoothed.mean, tunnel.mean)
+    assert smoothed.smoothed
     assert np.all(smoothed.upper.max(axis=0) <= tunnel.upper.max(axis=0) * (1 + 1e-12))
 
 

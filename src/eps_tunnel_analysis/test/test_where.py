@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from hypothesis import given
+from tunnel_cases import make_trials, pairs
 
 from eps_tunnel_analysis.phases import MEANING, channel_of, phases
 from eps_tunnel_analysis.where import sentences, where
-from tunnel_cases import make_trials, pairs
 
 STEP = 0.01
 TIME = np.arange(600) * STEP
@@ -30,21 +30,26 @@ def test_phases_of_a_step_and_back():
         "rest", "rise", "rise", "hold", "rise", "rest", "no command",
     ]  # fmt: skip
     assert [at(label.direction, s) for s in (0.5, 1.0, 2.9, 3.0, 4.0)] == ["none", "up", "up", "down", "down"]
-    assert at(label.amplitude, 0.5) == 0 and at(label.amplitude, 4) == pytest.approx(0.1)
+    assert at(label.amplitude, 0.5) == 0
+    assert at(label.amplitude, 4) == pytest.approx(0.1)
 
 
 def test_phases_of_a_triangle_turn_round_at_its_peaks():
     command = 0.07 * (1 - np.abs((TIME / 1.0) % 2 - 1))  # peaks at 1, 3, 5 s
     label = phases(TIME, command)
-    assert at(label.phase, 0.5) == "rise" and at(label.phase, 1.1) == "reversal" and at(label.phase, 1.5) == "rise"
-    assert at(label.direction, 0.5) == "up" and at(label.direction, 1.5) == "down"
+    assert at(label.phase, 0.5) == "rise"
+    assert at(label.phase, 1.1) == "reversal"
+    assert at(label.phase, 1.5) == "rise"
+    assert at(label.direction, 0.5) == "up"
+    assert at(label.direction, 1.5) == "down"
     assert at(label.amplitude, 1.5) == pytest.approx(0.07)
 
 
 def test_a_quantised_slow_ramp_is_one_motion():
     tick = 0.001534
     label = phases(TIME, np.floor(TIME * 0.014 / tick) * tick)  # about 9 ticks a second
-    assert set(label.phase[20:]) == {"rise"} and set(label.direction[20:]) == {"up"}
+    assert set(label.phase[20:]) == {"rise"}
+    assert set(label.direction[20:]) == {"up"}
 
 
 def test_a_command_that_never_moves_is_rest():
@@ -70,8 +75,10 @@ def test_an_offset_while_holding_is_found_there_and_nowhere_else():
     commands = np.repeat(command[None, :, None], 2, axis=0)
     rows = where(make_trials(real, commands=commands), make_trials(sim, commands=commands[:1]))
     worst = next(m for m in rows if m.kind == "phase")
-    assert worst.group == "hold" and worst.error_share == pytest.approx(1)
-    assert worst.mean == pytest.approx(0.01) and worst.rms == pytest.approx(0.01)
+    assert worst.group == "hold"
+    assert worst.error_share == pytest.approx(1)
+    assert worst.mean == pytest.approx(0.01)
+    assert worst.rms == pytest.approx(0.01)
     assert "hold, going up: 100% of its squared error" in sentences(rows)[0]
     assert "0.573 deg above" in sentences(rows)[0]
 
@@ -80,7 +87,8 @@ def test_a_trial_apart_from_the_others_is_the_worst_trial():
     values = np.zeros((3, 50, 1))
     values[1] += 1.0
     rows = [m for m in where(make_trials(values), make_trials(np.zeros((1, 50, 1)))) if m.kind == "trial"]
-    assert rows[0].group == "trial 2" and rows[0].error_share == pytest.approx(1)
+    assert rows[0].group == "trial 2"
+    assert rows[0].error_share == pytest.approx(1)
     assert rows[0].mean == -1  # simulation minus real
 
 

@@ -6,6 +6,7 @@ import math
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from labyrinth_sim.trials import Trials
 
 

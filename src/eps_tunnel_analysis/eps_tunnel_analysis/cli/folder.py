@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Output folders: whole or not at all, and never one that exists."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from labyrinth_sim.errors import InputError
+
+
+def refuse_existing(folder: Path) -> None:
+    """Raises InputError where something of that name exists; to be called before the work starts."""
+    if folder.exists() or folder.is_symlink():
+        raise InputError(f"--out {folder}: exists already and is never overwritten. Name a folder that does not exist.")
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """A folder to write into, which takes its name only when everything is in it.
+
+    Raises:
+        InputError: it exists, or cannot be made.
+    """
+    refuse_existing(folder)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be made ({error.strerror}). Name a folder you may write.") from error
+    try:
+        yield partial
+        umask = os.umask(0)
+        os.umask(umask)
+        partial.chmod(0o777 & ~umask)  # mkdtemp's are private
+        refuse_existing(folder)
+        partial.rename(folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""eps-tunnel COMMAND: finds the commands, parses, runs, and turns errors into words and exit codes.
+
+0: done. 2: bad input, told on stderr. 130: Ctrl-C. 141: the reader of our output went away.
+"""
+
+import argparse
+import importlib
+import os
+import pkgutil
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol, cast
+
+from eps_tunnel_analysis import cli
+from eps_tunnel_analysis.cli.versions import version
+from labyrinth_sim.errors import InputError
+
+DONE, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
+DESCRIPTION = """\
+How far a simulation is from a real rig, where, and which physical effect the model lacks.
+Reads rosbag2 recordings; needs no ROS."""
+
+
+class Command(Protocol):
+    """What the module of a command declares."""
+
+    NAME: str
+    HELP: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int | None]
+
+
+def commands() -> dict[str, Command]:
+    """Every command by name, in alphabetical order."""
+    modules = [importlib.import_module(f"{cli.__name__}.{m.name}") for m in pkgutil.iter_modules(cli.__path__)
+               if not m.name.startswith("_")]  # fmt: skip
+    return {m.NAME: cast(Command, m) for m in sorted((m for m in modules if hasattr(m, "NAME")), key=lambda m: m.NAME)}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    top = argparse.ArgumentParser(
+        "eps-tunnel",
+        description=DESCRIPTION,
+        epilog="eps-tunnel COMMAND --help tells more about each.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"eps-tunnel {version()}")
+    subparsers = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, command in commands().items():
+        sub = subparsers.add_parser(
+            name,
+            help=command.HELP,
+            description=command.HELP,
+            epilog=getattr(command, "EPILOG", None),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        command.add_arguments(sub)
+        sub.set_defaults(run=command.run)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit code."""
+    arguments = parser().parse_args(argv)
+    try:
+        code = arguments.run(arguments)
+        sys.stdout.flush()
+        return int(code or DONE)
+    except InputError as error:
+        for complaint in error.complaints:
+            print(f"eps-tunnel {arguments.command}: {complaint}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print(f"eps-tunnel {arguments.command}: interrupted.", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # keeps Python's own flush at exit quiet
+        return PIPE_CLOSED
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        print(f"eps-tunnel {arguments.command}: {name}{error.strerror or error}", file=sys.stderr)
+        return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())
