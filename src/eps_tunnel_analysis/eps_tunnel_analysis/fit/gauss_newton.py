@@ -2,6 +2,7 @@
 """Multistart Gauss-Newton (scipy) with each Jacobian as one batch, and a CMA-ES polish where it stalls."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -47,7 +48,7 @@ class GaussNewton:
         if self.polish:
             CmaEs(budget=self.polish, sigma=0.01, restarts=0).run(evaluations, rng)
 
-    def _descend(self, evaluations: Evaluations, start: Array, loss: str) -> None:
+    def _descend(self, evaluations: Evaluations, start: Array, loss: Literal["linear", "soft_l1"]) -> None:
         scaled = evaluations.problem.fitness.scaled
         known: dict[bytes, Array] = {}
 
