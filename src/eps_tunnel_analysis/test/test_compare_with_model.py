@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model played with recorded commands and compared with the recording it should explain."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bag_files import START, STEP, Header, JointState, Time, write_bag
+from test_cli import eps_tunnel
+
+from eps_tunnel_analysis.compare import compare
+from eps_tunnel_analysis.rollout import roll_out, same_commands
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.model import load_model
+from labyrinth_sim.simulate import simulate
+from labyrinth_sim.trials import Trials
+
+TIME = np.arange(150) * 0.01
+SIGNALS = ("motor_x", "motor_y", "board_x", "board_y")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model("labyrinth_manual")
+
+
+def commands(late=0):
+    """(T, u) rad: one axis after the other, `late` samples late."""
+    x = np.where((np.arange(150) >= 20 + late) & (np.arange(150) < 70 + late), 0.04, -0.02)
+    y = np.where(np.arange(150) >= 90 + late, -0.03, 0.01)
+    return np.column_stack([x, y])
+
+
+def measured(model, *plays, noise=0.0):
+    """Trials as the model itself would give them, from the commands of each trial."""
+    start = {"motor_x": -0.02, "board_x": -0.02, "motor_y": 0.01, "board_y": 0.01}
+    runs = [simulate(model, TIME, play, start).select(SIGNALS) for play in plays]
+    values = np.concatenate([run.values for run in runs])
+    values = values + noise * np.random.default_rng(3).normal(size=values.shape)
+    return replace(runs[0], values=values, commands=np.stack(plays))
+
+
+def test_a_model_explains_its_own_data(model):
+    real = measured(model, commands(), commands(), commands())
+    assert compare(real, roll_out(model, real)).alikeness[0].joint == 1
+
+
+def test_another_model_does_not(model):
+    real = measured(model, commands(), commands(), noise=1e-5)
+    comparison = compare(real, roll_out(load_model("labyrinth"), real))
+    assert comparison.alikeness[-1].joint < 0.9
+    assert all(e.rms > 10 * e.repeat_rms for e in comparison.errors)
+
+
+def test_jitter_is_one_command_and_other_sequences_are_several(model):
+    same, late, other = commands(), commands(late=1), commands(late=30)
+    assert same_commands(np.stack([same, same]))
+    assert same_commands(np.stack([same, late]))
+    assert not same_commands(np.stack([same, other]))
+    assert roll_out(model, measured(model, same, late)).count == 1
+    assert roll_out(model, measured(model, same, other)).count == 2
+
+
+def test_each_trial_is_rolled_out_with_its_own_command(model):
+    real = measured(model, commands(), commands(late=30))
+    sim = roll_out(model, real)
+    assert np.allclose(sim.select(SIGNALS).values, real.values, atol=1e-12)
+
+
+def test_a_drive_switched_off_is_no_jitter():
+    off = commands()
+    off[60:] = np.nan
+    assert same_commands(np.stack([off, off]))
+    assert not same_commands(np.stack([commands(), off]))
+
+
+def test_a_roll_out_starts_at_the_first_pose_that_was_seen(model):
+    real = measured(model, commands(), commands())
+    values = np.array(real.values)
+    values[:, 0, 0] = np.nan  # seen from the second sample on
+    sim = roll_out(model, replace(real, values=values))
+    assert sim.values[0, 0, sim.index("motor_x")] == pytest.approx(values[0, 1, 0])
+
+
+def test_recordings_without_the_rigs_commands_are_refused(model):
+    bare = Trials(TIME, ("motor_x",), ("rad",), np.zeros((1, 150, 1)), (), np.zeros((1, 150, 0)))
+    with pytest.raises(InputError, match=r"motor_x, motor_y.*have none"):
+        roll_out(model, bare)
+
+
+def test_bags_of_a_model_are_explained_by_it_on_the_command_line(model, tmp_path):
+    real = measured(model, commands(), commands(), commands(), noise=1e-6)
+    for i in range(real.count):
+        rows = {"joint_commands": (real.command_channels, real.commands[i]), "joint_states": (SIGNALS, real.values[i])}
+        write_bag(
+            tmp_path / "real" / str(i),
+            {f"/real/{topic}": ("sensor_msgs/msg/JointState", list(_messages(*row))) for topic, row in rows.items()},
+        )
+    result = eps_tunnel(
+        "compare", "--real", tmp_path / "real", "--model", "labyrinth_manual", "--signals", *SIGNALS, "--json"
+    )
+    assert result.returncode == 0, result.stderr
+    content = json.loads(result.stdout)
+    assert ["model", "labyrinth_manual, rig labyrinth"] in content["sources"]
+    assert content["signals"] == list(SIGNALS)
+    assert all(e["rms"] < 2e-6 for e in content["errors"])
+
+
+def _messages(names, values):
+    for n, row in enumerate(values):
+        stamp = START + n * STEP
+        header = Header(stamp=Time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="")
+        empty = np.array([])
+        yield stamp, JointState(header=header, name=list(names), position=row, velocity=empty, effort=empty)
