@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from eps_tunnel_analysis.recording import read, read_trials
 from labyrinth_sim.errors import InputError
 

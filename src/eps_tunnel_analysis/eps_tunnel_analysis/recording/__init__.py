@@ -7,6 +7,7 @@ from eps_tunnel_analysis.recording.channel_map import (
     channel_map,
     guessed_map,
 )
+from eps_tunnel_analysis.recording.csv_import import CsvColumns, csv_to_bag
 from eps_tunnel_analysis.recording.reader import read
 from eps_tunnel_analysis.recording.recording import (
     Gap,
@@ -27,6 +28,7 @@ from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError
 __all__ = [
     "BagWriter",
     "ChannelMap",
+    "CsvColumns",
     "Gap",
     "Recording",
     "RecordingError",
@@ -37,6 +39,7 @@ __all__ = [
     "TrialMark",
     "TrialsResult",
     "channel_map",
+    "csv_to_bag",
     "guessed_map",
     "read",
     "read_trials",

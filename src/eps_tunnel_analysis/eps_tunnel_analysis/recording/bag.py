@@ -5,42 +5,36 @@ A folder with metadata.yaml was closed by its recorder and must be whole. A fold
 recorder was killed), and so is a lone .mcap file without a footer: those are read up to their last whole chunk.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-from rosbags.interfaces import MessageDefinition
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import McapReader
 
-from eps_tunnel_analysis.recording.recovery import MCAP_MAGIC, head_metadata, scan
+from eps_tunnel_analysis.recording.mcap_file import MAGIC, RawTopic, TwoTypesError, read_mcap
 from labyrinth_sim.errors import InputError
 
 SUFFIXES = (".mcap", ".db3")
 EXPECTED = "a rosbag2 folder (with metadata.yaml) or a single .mcap or .db3 file of ROS 2 messages"
 
 
-@dataclass
-class RawTopic:
-    """Messages of one topic in log-time order; grows while the bag is read."""
-
-    name: str
-    type: str
-    definition: MessageDefinition
-    log_times: list[int] = field(default_factory=list)
-    """ns"""
-    messages: list[bytes] = field(default_factory=list)
-    """CDR"""
-
-
 @dataclass(frozen=True)
 class Bag:
-    """Everything in one bag, still serialised."""
+    """Everything in one bag, still serialised; messages of each topic in log-time order."""
 
     path: Path
     topics: Mapping[str, RawTopic]
     metadata: Mapping[str, str]
     recovered: str | None
     """None for a bag that was closed properly, else one sentence on what was recovered"""
+
+    @property
+    def count(self) -> int:
+        """Messages in the bag."""
+        return sum(len(topic.messages) for topic in self.topics.values())
 
 
 def read_bag(path: Path) -> Bag:
@@ -54,17 +48,9 @@ def read_bag(path: Path) -> Bag:
     if (path / "metadata.yaml").exists():
         return _closed(path, path)
     bags = [_lone_file(path, file) for file in files]
-    if len(bags) == 1:
-        return bags[0]
-    topics: dict[str, RawTopic] = {}
-    for bag in bags:
-        for name, topic in bag.topics.items():
-            merged = topics.setdefault(name, RawTopic(name, topic.type, topic.definition))
-            merged.log_times += topic.log_times
-            merged.messages += topic.messages
     notes = [bag.recovered for bag in bags if bag.recovered]
     metadata = {key: value for bag in bags for key, value in bag.metadata.items()}
-    return Bag(path, topics, metadata, " ".join(notes) or None)
+    return Bag(path, _merged(path, (bag.topics for bag in bags)), metadata, " ".join(notes) or None)
 
 
 def _files(path: Path) -> list[Path]:
@@ -85,35 +71,63 @@ def _files(path: Path) -> list[Path]:
 
 
 def _closed(path: Path, source: Path) -> Bag:
+    """A bag that must be whole. rosbags judges index and metadata; it also reads all that is not plain MCAP."""
     try:
         with Reader(source) as reader:
-            raws = {c.id: RawTopic(c.topic, c.msgtype, c.msgdef) for c in reader.connections}
-            appends = {key: (raw.log_times.append, raw.messages.append) for key, raw in raws.items()}
-            for connection, time, data in reader.messages():
-                note_time, note_data = appends[connection.id]
-                note_time(time)
-                note_data(data)
-            metadata = reader.storage.metadata
+            told: Any = reader.storage.metadata
+            storages: Any = getattr(reader.storage, "storages", [reader.storage])
+            if told.compression_mode != "message" and all(isinstance(s, McapReader) for s in storages):
+                found = [read_mcap(storage.path) for storage in storages]
+                if not all(file.complete for file in found):
+                    raise ValueError("a chunk is torn")
+                topics = _merged(path, (file.topics for file in found))
+                metadata = {key: value for file in found for key, value in file.metadata.items()}
+            else:
+                topics, metadata = _iterated(reader), {}
+            metadata |= {str(key): str(value) for key, value in (told.custom or {}).items()}
+    except InputError:
+        raise
+    except TwoTypesError as error:
+        raise InputError(f"{path}: {error}.") from error
     except Exception as error:  # rosbags, apsw, zstd, lz4 and struct each raise classes of their own
         raise InputError(_damaged(path, error)) from error
+    bag = Bag(path, topics, metadata, None)
+    if bag.count < told.message_count:
+        raise InputError(_damaged(path, f"{bag.count} messages, but its metadata tells {told.message_count}"))
+    return bag
+
+
+def _iterated(reader: Reader) -> dict[str, RawTopic]:
     topics: dict[str, RawTopic] = {}
-    for raw in raws.values():
-        other = topics.setdefault(raw.name, raw)
-        if other.type != raw.type:
-            raise InputError(f"{path}: topic '{raw.name}' has two types, {other.type} and {raw.type}; expected one.")
-        if other is not raw:
-            topics[raw.name] = _merged(other, raw)
-    if metadata.message_count and sum(len(raw.messages) for raw in topics.values()) < metadata.message_count:
-        raise InputError(_damaged(path, f"metadata.yaml tells {metadata.message_count} messages, fewer are there"))
-    return Bag(path, topics, {str(k): str(v) for k, v in (metadata.custom or {}).items()}, None)
+    for connection in reader.connections:
+        topic = topics.setdefault(connection.topic, RawTopic(connection.topic, connection.msgtype, connection.msgdef))
+        if topic.type != connection.msgtype:
+            raise TwoTypesError(f"topic '{topic.name}' has two types, {topic.type} and {connection.msgtype}")
+    for connection, log_time, data in reader.messages():
+        topic = topics[connection.topic]
+        topic.log_times.append(log_time)
+        topic.messages.append(data)
+    return topics
 
 
-def _merged(one: RawTopic, two: RawTopic) -> RawTopic:
-    """Two publishers' messages on one topic, by log time."""
-    pairs = sorted(
-        zip(one.log_times + two.log_times, one.messages + two.messages, strict=True), key=lambda pair: pair[0]
-    )
-    return RawTopic(one.name, one.type, one.definition, [t for t, _ in pairs], [m for _, m in pairs])
+def _merged(path: Path, parts: Iterable[Mapping[str, RawTopic]]) -> dict[str, RawTopic]:
+    """The topics of a bag's files, each in log-time order: chunks and publishers may overlap."""
+    topics: dict[str, RawTopic] = {}
+    for part in parts:
+        for name, raw in part.items():
+            topic = topics.setdefault(name, raw)
+            if topic.type != raw.type:
+                raise InputError(f"{path}: topic '{name}' has two types, {topic.type} and {raw.type}; expected one.")
+            if topic is not raw:
+                topic.log_times += raw.log_times
+                topic.messages += raw.messages
+    for topic in topics.values():
+        times = topic.log_times
+        if any(later < earlier for earlier, later in pairwise(times)):
+            order = sorted(range(len(times)), key=times.__getitem__)
+            topic.log_times = [times[i] for i in order]
+            topic.messages = [topic.messages[i] for i in order]
+    return topics
 
 
 def _damaged(path: Path, reason: object) -> str:
@@ -127,35 +141,33 @@ def _lone_file(path: Path, file: Path) -> Bag:
     """A file without metadata.yaml beside it."""
     if file.suffix != ".mcap":
         return _closed(path, file)
-    with file.open("rb") as stream:
-        start = stream.read(len(MCAP_MAGIC))
-        size = stream.seek(0, 2)
-        stream.seek(max(0, size - len(MCAP_MAGIC)))
-        closed = stream.read() == MCAP_MAGIC and size > 2 * len(MCAP_MAGIC)
+    size = file.stat().st_size
     if not size:
         raise InputError(f"{path}: {file.name} is empty (0 bytes). Expected {EXPECTED}.")
-    if start != MCAP_MAGIC:
-        raise InputError(f"{path}: {file.name} is not an MCAP file. Expected {EXPECTED}.")
-    if closed:
-        return replace(_closed(path, file), metadata=head_metadata(file))
-    return recovered(path, file)
+    with file.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise InputError(f"{path}: {file.name} is not an MCAP file. Expected {EXPECTED}.")
+        stream.seek(max(len(MAGIC), size - len(MAGIC)))
+        closed = stream.read() == MAGIC
+    return _closed(path, file) if closed else recovered(path, file)
 
 
 def recovered(path: Path, file: Path) -> Bag:
-    """What is whole in an MCAP file that was never closed or was damaged."""
-    topics: dict[str, RawTopic] = {}
-    metadata: dict[str, str] = {}
-    for record in scan(file, metadata):
-        raw = topics.setdefault(record.topic, RawTopic(record.topic, record.type, record.definition))
-        raw.log_times.append(record.log_time)
-        raw.messages.append(record.data)
-    count = sum(len(raw.messages) for raw in topics.values())
-    if not count:
+    """What is whole in an MCAP file that was never closed or was damaged.
+
+    Raises:
+        InputError: nothing is.
+    """
+    try:
+        found = read_mcap(file)
+    except TwoTypesError as error:
+        raise InputError(f"{path}: {error}.") from error
+    bag = Bag(path, _merged(path, [found.topics]), found.metadata, None)
+    times = [time for raw in bag.topics.values() if raw.log_times for time in (raw.log_times[0], raw.log_times[-1])]
+    if not times:
         raise InputError(f"{path}: {file.name} was not closed properly and holds no whole chunk of messages.")
-    topics = {name: _merged(raw, RawTopic(name, raw.type, raw.definition)) for name, raw in topics.items()}
-    times = [time for raw in topics.values() for time in (raw.log_times[0], raw.log_times[-1])]
     note = (
-        f"{file.name} was not closed properly; recovered {count} messages "
+        f"{file.name} was not closed properly; recovered {bag.count} messages "
         f"up to {(max(times) - min(times)) * 1e-9:.2f} s after its first."
     )
-    return Bag(path, topics, metadata, note)
+    return Bag(path, bag.topics, bag.metadata, note)

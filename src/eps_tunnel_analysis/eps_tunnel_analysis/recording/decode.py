@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
 
-from eps_tunnel_analysis.recording.bag import RawTopic
 from eps_tunnel_analysis.recording.cdr import decode_constant
+from eps_tunnel_analysis.recording.mcap_file import RawTopic
 from eps_tunnel_analysis.recording.message_types import JOINT_STATE
 from eps_tunnel_analysis.recording.recording import Column, Nanoseconds, StampedTopic
 from labyrinth_sim.errors import InputError

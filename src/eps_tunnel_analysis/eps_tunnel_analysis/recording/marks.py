@@ -6,7 +6,7 @@ from typing import Any
 
 from rosbags.typesys.store import Typestore
 
-from eps_tunnel_analysis.recording.bag import RawTopic
+from eps_tunnel_analysis.recording.mcap_file import RawTopic
 from eps_tunnel_analysis.recording.recording import Phase, TimeSource, TrialMark
 from labyrinth_sim.errors import InputError
 
