@@ -14,6 +14,9 @@ from labyrinth_sim.model import PLAIN, Model
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.site import Site, axis_site, ball_site
 
+# MuJoCo's friction is a soft constraint: at the default impedance a joint held by friction creeps.
+FRICTION_IMPEDANCE = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+
 
 @dataclass(frozen=True)
 class Placed:
@@ -89,6 +92,8 @@ def _compiled(
         spec.option.timestep = timestep
     # Without it MuJoCo would restart a simulation that diverged, as if nothing had happened.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for name in dict.fromkeys(name for axis in rig.axes for name in (axis.joint, axis.load)):
+        spec.joint(name).solimp_friction = FRICTION_IMPEDANCE
     for channel, kind in enumerate(kinds):
         site = axis_site(rig, channel)
         spec.actuator(site.the_axis.actuator).group = site.group

@@ -37,7 +37,6 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     fields["actuator_forcerange"][:, servo, 0] = -stall
     fields["actuator_forcerange"][:, servo, 1] = stall
     fields["actuator_biasprm"][:, emf, 2] = -(values["torque_constant"] ** 2) / values["resistance"]
-    fields["dof_armature"][:, site.dof] = values["armature"]
 
 
 def target(values: Values, site: Site, step: float, start: Array) -> Delay | None:
@@ -67,7 +66,6 @@ DRIVE = Drive(
         Parameter(
             "torque_constant", "N m/A", 0.01, 10.0, None, 0.5, "behind the gear; stall torque over stall current"
         ),
-        Parameter("armature", "kg m^2", 1e-5, 0.2, None, 0.005, "rotor times gear ratio squared"),
         Parameter("delay", "s", 0.0, 0.05, None, 0.0, "bus and firmware"),
     ),
     spec=spec,

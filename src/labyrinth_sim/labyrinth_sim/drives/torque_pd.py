@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A servo whose current, and so its torque, follows a PD law on the angle; all of it MuJoCo's own position servo."""
+
+import mujoco
+
+from labyrinth_sim.effect import Drive, Parameter, Values
+from labyrinth_sim.filters import Delay
+from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.site import Site
+from labyrinth_sim.trials import Array
+
+
+def spec(spec: mujoco.MjSpec, site: Site) -> None:
+    servo = spec.actuator(site.the_axis.actuator)
+    servo.set_to_position(kp=1.0, kv=1.0)
+    servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    servo.forcerange = [-1.0, 1.0]
+
+
+def fields(fields: Fields, site: Site, values: Values) -> None:
+    fields["actuator_gainprm"][:, site.actuator, 0] = values["stiffness"]
+    fields["actuator_biasprm"][:, site.actuator, 1] = -values["stiffness"]
+    fields["actuator_biasprm"][:, site.actuator, 2] = -values["damping"]
+    fields["actuator_forcerange"][:, site.actuator, 0] = -values["torque"]
+    fields["actuator_forcerange"][:, site.actuator, 1] = values["torque"]
+
+
+def target(values: Values, site: Site, step: float, start: Array) -> Delay | None:
+    return Delay(values["delay"], step, start) if values["delay"].any() else None
+
+
+def supply(live: Live, site: Site, factor: Array) -> None:
+    live["actuator_forcerange"][:, site.actuator] *= factor[:, None]
+
+
+DRIVE = Drive(
+    name="torque_pd",
+    title="Torque servo under a PD law on the angle",
+    physics="The motor's current, and so its torque, is proportional to the error less a share of the speed, up to a limit.",
+    equation="torque = clip(K (target - angle) - C speed, -M, M)",
+    parameters=(
+        Parameter("stiffness", "N m/rad", 0.01, 500.0, None, 10.0, "from a toy servo to one of 10 N m at 1 deg"),
+        Parameter("damping", "N m s/rad", 0.0, 20.0, None, 0.2, "up to more than critical for such servos"),
+        Parameter("torque", "N m", 0.01, 20.0, None, 2.8, "stall torques of such servos"),
+        Parameter("delay", "s", 0.0, 0.05, None, 0.0, "bus and firmware"),
+    ),
+    spec=spec,
+    fields=fields,
+    target=target,
+    supply=supply,
+)
