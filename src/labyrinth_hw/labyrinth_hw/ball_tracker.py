@@ -2,9 +2,9 @@
 """The steel ball in the picture -> its place on the board.
 
 Steel mirrors the room: it is bright, and as blue as the light is, while wood swallows blue. Brightness in blue beyond
-what wood of the same redness shows marks the ball and leaves out shadows (less light, same colour), holes and lines (dark).
-Glare is as bright but larger, so the mark must be a disc of the ball's size. The disc is measured on the plane through the
-ball's centre that faces the camera, where a sphere is a circle: its middle then is the centre's ray, free of perspective.
+what wood of the same redness shows marks the ball and leaves out shadows (less light, same colour), holes and lines
+(dark). Glare is as bright but larger, so the mark must be a disc of the ball's size. The disc is measured on the plane
+through the ball's centre that faces the camera, where a sphere is a circle: no perspective is left in its middle.
 """
 
 from dataclasses import dataclass, field

@@ -65,9 +65,9 @@ class Intrinsics:
         given = set(figures) if isinstance(figures, dict) else set()
         missing = names - {"distortion", "latency", "residual"} - given
         if missing or given - names:
-            raise InputError(
-                f"Camera file {path}: missing {sorted(missing)}, unknown {sorted(given - names)}. Valid: {sorted(names)}."
-            )
+            unknown = sorted(given - names)
+            complaint = f"missing {sorted(missing)}, unknown {unknown}. Valid: {sorted(names)}."
+            raise InputError(f"Camera file {path}: {complaint}")
         figures["distortion"] = tuple(float(k) for k in figures.get("distortion", (0.0,) * 5))
         if len(figures["distortion"]) != 5:
             raise InputError(f"Camera file {path}: distortion needs k1, k2, p1, p2, k3; got {figures['distortion']}.")
@@ -207,8 +207,9 @@ class Camera:
     def _open(self) -> cv2.VideoCapture | None:
         options = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 3000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 2000]
         stream = isinstance(self.source, str) and "://" in self.source
+        extra = (cv2.CAP_FFMPEG, options) if stream else ()
         try:
-            capture = cv2.VideoCapture(self.source, cv2.CAP_FFMPEG, options) if stream else cv2.VideoCapture(self.source)
+            capture = cv2.VideoCapture(self.source, *extra)
         except cv2.error:
             return None
         if not capture.isOpened():

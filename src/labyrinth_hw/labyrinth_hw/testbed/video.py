@@ -34,7 +34,8 @@ class Renderer:
         width, height = (n + 2 * self._margin for n in self.lens.size)
         self._canvas = (width * FINE, height * FINE)
         focal = self.lens.focal * FINE
-        self._pinhole = np.array([[focal, 0, (self._canvas[0] - 1) / 2], [0, focal, (self._canvas[1] - 1) / 2], [0, 0, 1]])
+        centre = (np.array(self._canvas) - 1) / 2
+        self._pinhole = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
         self._bend = self._bend_map() if bent else None
         level_view = np.diag([1.0, -1.0, -1.0])  # x right, y down, z away from the camera
         self._turn = cv2.Rodrigues(np.array(self.lens.turn))[0] @ level_view
@@ -60,11 +61,12 @@ class Renderer:
     def _draw_floor(self) -> Frame:
         board = self.layout.board
         size = (round(board[0] * TEXELS), round(board[1] * TEXELS))
-        grain = cv2.GaussianBlur(self._rng.standard_normal((size[1], size[0])).astype(np.float32), (0, 0), 25, sigmaY=1.2)
+        grain = self._rng.standard_normal((size[1], size[0])).astype(np.float32)
+        grain = cv2.GaussianBlur(grain, (0, 0), 25, sigmaY=1.2)
         floor = np.array(FLOOR, np.float32) * (1 + 0.04 * grain[..., None] / grain.std())
         floor = np.ascontiguousarray(np.clip(floor, 0, 255).astype(np.uint8))
         self._varnish = np.ones((size[1], size[0], 3), np.float32)  # holes mirror nothing
-        path = np.round(self._texel(np.array(self.layout.path)) * 16).astype(np.int32)
+        path = np.round(self._texel(np.array(self.layout.path).reshape(-1, 2)) * 16).astype(np.int32)
         if len(path):
             cv2.polylines(floor, [path], False, LINE, round(0.0016 * TEXELS), cv2.LINE_AA, 4)
         reach = -self._lamp[:2] / self._lamp[2] * self.layout.wall_height
@@ -166,7 +168,7 @@ class Renderer:
 
     def _draw_board(self, canvas: Frame, rotation: Array, translation: Array, scene: Scene) -> None:
         floor = self._lit_floor(scene)
-        width, depth = self.layout.board
+        depth = self.layout.board[1]
         columns = np.column_stack([rotation[:, 0], rotation[:, 1], translation])
         texture = np.array([[1 / TEXELS, 0, 0.5 / TEXELS], [0, -1 / TEXELS, depth - 0.5 / TEXELS], [0, 0, 1]])
         cv2.warpPerspective(
@@ -198,12 +200,12 @@ class Renderer:
         if scene.ball is not None:
             at = self._texel(np.array([scene.ball]))[0]
             corner = np.floor(at).astype(int) - 80
-            shift = np.float32([[1, 0, at[0] - 80 - corner[0]], [0, 1, at[1] - 80 - corner[1]]])
+            shift = np.array([[1, 0, at[0] - 80 - corner[0]], [0, 1, at[1] - 80 - corner[1]]], np.float32)
             shade = cv2.warpAffine(self._shade, shift, (162, 162), borderValue=1.0)
             here, there = _overlap(floor, shade, corner)
             floor[here] = floor[here] * shade[there][..., None]
         if light.glare > 0:
-            # A mirror turned by a turns its image by 2 a: seen from the height h the image wanders over the floor by h a.
+            # A mirror turned by a turns its image by 2 a: from a height h it wanders over the floor by h a.
             height = self.lens.position[2]
             centre = np.array(light.glare_at) * self.layout.board + height * np.array([scene.tilt[1], -scene.tilt[0]])
             corner = np.round(self._texel(centre[None])[0]).astype(int) - self._glare.shape[0] // 2

@@ -56,10 +56,12 @@ class Layout:
             board=_pair(figures["board_size"]),
             walls=tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in walls),
             holes=tuple(_pair(hole) for hole in chosen["holes"]),
-            path=tuple(_pair(point) for point in chosen["waypoints"]),
+            path=tuple(_pair(point) for point in chosen["path"]),
             ball_radius=float(figures["ball_radius"]),
             hole_radius=float(figures["hole_radius"]),
             wall_height=float(figures["wall_height"]),
+            inner_dots=_pair(figures["landmark_spacing"]),
+            dot_diameter=float(figures["landmark_diameter"]),
         )
 
     @staticmethod

@@ -16,8 +16,8 @@ BOUNDARY = "frame"
 class VideoStream:
     """Serves the newest pushed frame to any number of viewers at `url`.
 
-    A viewer slower than the source misses frames; it never slows the source. Closing it is what a camera unplugged looks
-    like; a new one on the same `port` is the camera plugged in again.
+    A viewer slower than the source misses frames; it never slows the source. Closing it is what a camera unplugged
+    looks like; a new one on the same `port` is the camera plugged in again.
 
     Args:
         port: 0 takes a free one. host: this machine only unless told otherwise.
@@ -87,7 +87,8 @@ class VideoStream:
         try:
             while True:
                 with self._news:
-                    self._news.wait_for(lambda: self._over or self._number > shown)
+                    while not self._over and self._number == shown:
+                        self._news.wait()
                     if self._over:
                         return
                     jpeg, shown = self._jpeg, self._number
