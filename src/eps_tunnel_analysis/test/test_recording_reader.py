@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_cases import SECOND, START, STORE, ball, joints, write_bag
+from recording_cases import SECOND, START, STORE, ball, joints, mark, write_bag
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from eps_tunnel_analysis.recording import BagWriter, read
 from eps_tunnel_analysis.recording.cdr import decode_constant
-from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE
+from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE, TRIAL
 from labyrinth_sim.errors import InputError
 
 finite = st.floats(allow_nan=False, width=64)
@@ -185,6 +185,26 @@ def test_duplicate_and_missing_stamps_are_refused(tmp_path: Path) -> None:
     complaint = told(write_bag(tmp_path / "twice", stamps=stamps))
     assert "duplicate stamps) at 1 of 200 steps, first at message 7" in complaint
     assert "all header stamps are zero" in told(write_bag(tmp_path / "zero", stamps=np.zeros(201, dtype=np.int64)))
+
+
+def test_events_may_share_a_stamp(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/real/trial", TRIAL)
+        for phase, trial in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            at = START + (phase + trial) * SECOND
+            writer.write("/real/trial", at, mark(at, phase, trial, 1.0))
+    marks = read(tmp_path / "bag").marks
+    assert [(m.phase, m.trial) for m in marks] == [("start", 0), ("end", 0), ("start", 1), ("end", 1)]
+
+
+def test_a_topic_without_messages_is_told_as_such(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/real/joint_states", JOINT_STATE)
+        writer.write("/real/joint_states", START, joints(START, ["a"], [1.0]))
+        writer.flush()
+        writer.add_topic("/real/ball", BALL_STATE)
+    with pytest.raises(InputError, match="'/real/ball' has no messages"):
+        read(tmp_path / "bag").topic("/real/ball", BALL_STATE)
 
 
 def test_values_that_do_not_fit_their_joints_are_refused(tmp_path: Path) -> None:

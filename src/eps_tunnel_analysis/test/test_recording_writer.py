@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from recording_cases import START, joints, write_bag
 from rosbags.highlevel import AnyReader
 
@@ -21,6 +22,7 @@ import sys, time
 from pathlib import Path
 sys.path[:0] = {path!r}
 from eps_tunnel_analysis.recording import BagWriter, RecordingError
+from mcap.reader import make_reader
 from recording_cases import joints
 writer = BagWriter(Path({bag!r}), {{"sequence": "eight_seconds"}})
 writer.add_topic("/real/joint_states", "sensor_msgs/msg/JointState")
@@ -151,6 +153,18 @@ def test_a_closed_bag_reads_the_same_through_rosbags(tmp_path: Path) -> None:
     assert ours.metadata == {"sequence": "eight_seconds", "model": "plain"}
     assert ours.closed
     assert not ours.notes
+
+
+def test_the_index_of_a_closed_bag_is_right_for_the_mcap_library(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", metadata={"sequence": "eight_seconds"})
+    with (bag / "bag.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == sum(1 for _ in reader.iter_messages()) == 402
+        assert {c.topic for c in summary.channels.values()} == {"/real/joint_commands", "/real/joint_states"}
+        assert all(chunk.compression == "zstd" for chunk in summary.chunk_indexes)
 
 
 def test_a_closed_file_without_its_folder_still_tells_its_metadata(tmp_path: Path) -> None:

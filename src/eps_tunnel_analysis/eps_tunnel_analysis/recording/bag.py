@@ -84,6 +84,8 @@ def _closed(path: Path, source: Path) -> Bag:
                 metadata = {key: value for file in found for key, value in file.metadata.items()}
             else:
                 topics, metadata = _iterated(reader), {}
+            for c in reader.connections:  # topics without a message stand in the index alone
+                topics.setdefault(c.topic, RawTopic(c.topic, c.msgtype, c.msgdef))
             metadata |= {str(key): str(value) for key, value in (told.custom or {}).items()}
     except InputError:
         raise

@@ -129,9 +129,9 @@ def _write(
     types: Mapping[str, Any] = store.types
     writer.add_topic(topic, JOINT_STATE)
     none = np.zeros(0)
-    filled = ~np.isnan(np.hstack(fields)).any(axis=1, keepdims=True)
+    filled = [bool(cells.all()) for cells in np.isfinite(np.hstack(fields))]
     for row, stamp in enumerate(stamps):
-        if not filled[row, 0]:
+        if not filled[row]:
             continue
         time = types["builtin_interfaces/msg/Time"](*divmod(int(stamp), 1_000_000_000))
         values = [*(part[row] for part in fields), none, none][:3]

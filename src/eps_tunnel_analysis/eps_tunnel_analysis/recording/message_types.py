@@ -19,6 +19,8 @@ BALL_STATE = "labyrinth_msgs/msg/BallState"
 BALL_EVENT = "labyrinth_msgs/msg/BallEvent"
 TRIAL = "labyrinth_msgs/msg/Trial"
 READABLE = (JOINT_STATE, BALL_STATE, BALL_EVENT, TRIAL)
+SAMPLED = (JOINT_STATE, BALL_STATE)
+"""Measured or sent in a steady rhythm, so no two messages share a stamp; events may"""
 
 
 def labyrinth_definitions() -> Iterator[tuple[str, str]]:

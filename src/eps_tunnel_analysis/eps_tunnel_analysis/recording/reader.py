@@ -9,7 +9,7 @@ from rosbags.typesys import TypesysError
 from eps_tunnel_analysis.recording.bag import Bag, read_bag
 from eps_tunnel_analysis.recording.decode import decode_topic
 from eps_tunnel_analysis.recording.marks import trial_marks
-from eps_tunnel_analysis.recording.message_types import READABLE, TRIAL, typestore
+from eps_tunnel_analysis.recording.message_types import READABLE, SAMPLED, TRIAL, typestore
 from eps_tunnel_analysis.recording.recording import (
     TIME_SOURCES,
     Recording,
@@ -42,7 +42,8 @@ def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
         raise InputError(f"{path}: a message definition in the bag cannot be read ({error}).") from error
     readable = {name: raw for name, raw in bag.topics.items() if raw.type in READABLE}
     topics = {name: decode_topic(raw, store, path) for name, raw in readable.items() if raw.type in store.fielddefs}
-    complaints = [text for topic in topics.values() for text in _stamp_complaints(topic, time_source, path)]
+    sampled = [topic for topic in topics.values() if topic.type in SAMPLED]
+    complaints = [text for topic in sampled for text in _stamp_complaints(topic, time_source, path)]
     if complaints:
         raise InputError(complaints)
     marks = [
