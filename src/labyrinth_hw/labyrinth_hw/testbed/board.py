@@ -27,7 +27,7 @@ class Belt:
         """Torque on the board, N m. Angles rad, speeds rad/s."""
         pull, rate = q.ratio * (servo + self.shift), q.ratio * servo_speed
         if self.crossed:
-            pull, rate = pull + q.cross_axis * servo[:, ::-1], rate + q.cross_axis * servo_speed[:, ::-1]
+            pull, rate = pull + q.cross_axis * board[:, ::-1], rate + q.cross_axis * speed[:, ::-1]
         stretch, rate = pull - board, rate - speed
         beyond = stretch - np.clip(stretch, -self.slack, self.slack)
         torque = q.belt_stiffness * beyond + np.where(np.abs(stretch) >= self.slack, q.belt_damping * rate, 0.0)
@@ -40,10 +40,9 @@ class Belt:
             self.shift = np.clip(self.shift - dt * surplus / MOUNT_DRAG, -0.5 * q.mount_play, 0.5 * q.mount_play)
         return torque
 
-    def reaction(self, q: SimpleNamespace, torque: Array) -> Array:
-        """Torque on the servos, N m, from the belts' torques on the board."""
-        back = q.ratio * torque
-        return back + (q.cross_axis * torque)[:, ::-1] if self.crossed else back
+    def on_board(self, q: SimpleNamespace, torque: Array) -> Array:
+        """Torque on the board axes, N m: a belt led over the other axis pulls back there."""
+        return torque - (q.cross_axis * torque)[:, ::-1] if self.crossed else torque
 
 
 def board_speed(q: SimpleNamespace, angle: Array, speed: Array, belt: Array, dt: float) -> Array:

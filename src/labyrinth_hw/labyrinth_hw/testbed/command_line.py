@@ -12,7 +12,8 @@ from pathlib import Path
 from types import FrameType
 
 from labyrinth_hw.errors import HardwareError, InputError
-from labyrinth_hw.testbed.hidden import TestbedConfig, load_testbed
+from labyrinth_hw.testbed.hidden import TestbedConfig, listing, load_testbed
+from labyrinth_hw.testbed.layouts import load_layout
 from labyrinth_hw.testbed.live import FAULTS, LiveTestbed, default_link_dir
 from labyrinth_hw.testbed.rig import LiveRig
 
@@ -33,14 +34,16 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--reveal", type=Path, metavar="FILE", help="write what is hidden to this JSON file")
     p.add_argument("--link-dir", type=Path, help=f"folder of the links to the ports (default: {default_link_dir()})")
     p.add_argument("--baud", type=int, help="speed that the servo bus imitates (default: the config's)")
+    p.add_argument("--bag", type=Path, metavar="FOLDER", help="no ports: play --commands at once and write this bag")
+    p.add_argument("--commands", type=Path, metavar="CSV", help="columns time, motor_x, motor_y (s, rad); for --bag")
+    p.add_argument("--trials", type=int, default=5, help="of the commands, for --bag (default: 5)")
+    p.add_argument("--with-ball", action="store_true", help="put a ball on the board, for --bag")
     p.add_argument("--duration", type=float, help="stop after this many seconds")
     return p
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the testbed until Ctrl-C, SIGTERM or --duration."""
-    from labyrinth_hw.testbed.hidden import listing
-
     given, _ = parser().parse_known_args(_without_ros(sys.argv[1:] if arguments is None else arguments))
     try:
         if given.list:
@@ -50,6 +53,9 @@ def main(arguments: list[str] | None = None) -> None:
         loaded = load_testbed(given.config, effects=given.effect, draw_seed=seed if given.draw else None)
         if given.reveal is not None:
             write_new(given.reveal, json.dumps(loaded.revealed(), indent=2) + "\n")
+        if given.bag is not None:
+            offline(loaded, given.bag, given.commands, given.trials, seed, given.with_ball)
+            return
         run(loaded, given.link_dir or default_link_dir(), given.baud or loaded.baud, seed, given.duration)
     except (InputError, HardwareError) as error:
         print(f"testbed: {error}", file=sys.stderr)
@@ -65,6 +71,21 @@ def write_new(path: Path, text: str) -> None:
         raise InputError(f"{path} exists and is left as it is; name another file.") from None
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error}.") from error
+
+
+def offline(loaded: TestbedConfig, bag: Path, commands: Path | None, trials: int, seed: int, with_ball: bool) -> None:
+    """Play commands on the rig without ports or real time and write a bag."""
+    from labyrinth_hw.testbed.bags import read_commands, write_bag
+    from labyrinth_hw.testbed.offline import run_offline
+
+    if commands is None:
+        raise InputError("--bag needs --commands CSV: columns time, motor_x, motor_y (s, rad).")
+    if bag.exists():
+        raise InputError(f"{bag} exists and is left as it is; name another folder.")
+    time_, goals, digest = read_commands(commands)
+    layout = load_layout(loaded.layout) if with_ball else None
+    result = run_offline(loaded, time_, goals, trials, seed, layout)
+    print(f"bag: {write_bag(bag, result, commands.stem, digest)}", flush=True)
 
 
 def run(loaded: TestbedConfig, link_dir: Path, baud: int, seed: int, duration: float | None) -> None:

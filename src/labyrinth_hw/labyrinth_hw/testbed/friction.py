@@ -20,7 +20,7 @@ def level(q: SimpleNamespace, speed: Array, load: Array, softening: Array) -> Ar
     Args:
         q: quantities.
         speed: rad/s.
-        load: N m carried by the gear.
+        load: N m carried by the gear: what the motor drives against what the belt holds back.
         softening: share of friction left after warming, 1 when cold.
     """
     dry = q.coulomb + q.static * np.exp(-np.square(speed / q.stribeck_speed)) + q.load_friction * np.abs(load)

@@ -11,9 +11,10 @@ import numpy as np
 from labyrinth_hw import config
 from labyrinth_hw.control_tables import ServoModel, servo_model
 from labyrinth_hw.errors import InputError, unknown_name
-from labyrinth_hw.testbed.effects import EFFECTS, STRENGTHS
+from labyrinth_hw.testbed.effects import ALIASES, EFFECTS, STRENGTHS
 from labyrinth_hw.testbed.parameters import AXES, HEALTHY, QUANTITIES, Reality
 
+SENSORS = ("motor_x", "motor_y", "board_x", "board_y")
 KEYS = {"description", "servo", "baud", "sensor_baud", "layout", "quantities", "hidden"}
 
 
@@ -23,7 +24,7 @@ class Hidden:
 
     Attributes:
         effect: name, from `EFFECTS`.
-        axis: "x", "y", or "both".
+        axis: "x", "y", "both"; for a sensor's effect "motor_x", "motor_y", "board_x" or "board_y".
         strength: "weak", "medium", "strong", or "given" where values were.
         values: quantity -> value, what is changed.
     """
@@ -40,7 +41,7 @@ class Hidden:
 
     def applied(self, reality: Reality) -> Reality:
         """The rig with this wrong."""
-        axes = AXES if self.axis == "both" else (self.axis,)
+        axes = AXES if self.axis == "both" else (self.axis[-1],)
         return reality.with_values({name: dict.fromkeys(axes, value) for name, value in self.values.items()})
 
 
@@ -86,10 +87,14 @@ def hide(effect: str, axis: str = "x", strength: str = "strong", values: Mapping
         InputError: unknown names; lists the valid ones.
     """
     complaints = []
+    effect = ALIASES.get(effect, effect)
+    sensor = effect in EFFECTS and EFFECTS[effect].sensor
+    axis = f"motor_{axis}" if sensor and axis in AXES else axis
+    places = SENSORS if sensor else (*AXES, "both")
     if effect not in EFFECTS:
         complaints.append(unknown_name("hidden effect", effect, EFFECTS))
-    if axis not in (*AXES, "both"):
-        complaints.append(unknown_name("axis", axis, (*AXES, "both")))
+    elif axis not in places:
+        complaints.append(unknown_name("axis", axis, places))
     if strength not in (*STRENGTHS, "given"):
         complaints.append(unknown_name("strength", strength, STRENGTHS))
     if complaints:
@@ -99,6 +104,8 @@ def hide(effect: str, axis: str = "x", strength: str = "strong", values: Mapping
         return Hidden(effect, axis, "given", dict(values))
     level = STRENGTHS.index("strong" if strength == "given" else strength)
     changes = {name: levels[level] for name, levels in entry.quantities.items()}
+    if axis.startswith("board_"):
+        changes = {name.replace("encoder", "pot"): value for name, value in changes.items()}
     first = next(iter(changes))
     signed = sign if entry.signed else 1
     changes[first] = 1.0 + signed * changes[first] if entry.factor else signed * changes[first]
@@ -118,7 +125,7 @@ def draw(seed: int, *, known: bool | None = True, ball: bool = False, strength: 
     names = [n for n, e in EFFECTS.items() if (known is None or e.known == known) and (ball or not e.ball)]
     name = str(rng.choice(names))
     level = strength or str(rng.choice(STRENGTHS))
-    axis = str(rng.choice(AXES))
+    axis = str(rng.choice(SENSORS if EFFECTS[name].sensor else AXES))
     return hide(name, axis, level, sign=int(rng.choice([-1, 1])))
 
 
@@ -189,6 +196,6 @@ def listing() -> str:
     """Rigs and effects in lines for the terminal."""
     lines = ["Rigs:"] + [f"  {name}" for name in config.names("testbed")] + ["Effects:"]
     for name, effect in EFFECTS.items():
-        where = "ball" if effect.ball else "axis"
-        lines.append(f"  {name:22s}{where:6s}{'' if effect.known else 'outside the library; '}{effect.text}")
+        where = "ball" if effect.ball else "sensor" if effect.sensor else "axis"
+        lines.append(f"  {name:22s}{where:8s}{'' if effect.known else 'outside the library; '}{effect.text}")
     return "\n".join(lines)

@@ -54,7 +54,7 @@ class Plant:
         self._drift = np.zeros_like(self.servo)
         self._goals = History(self.servo, PERIOD, LONGEST_DELAY)
         self._goal = self.servo.copy()
-        measured = self._measured()
+        measured = self.servo + q.error_reported * self._error()
         self._encoder = History(measured, PERIOD, LONGEST_DELAY)
         self._speeds = History(self.servo_speed, PERIOD, LONGEST_DELAY)
         self._pots = History(self.board, PERIOD, LONGEST_DELAY)
@@ -99,8 +99,10 @@ class Plant:
     def _measured(self) -> Array:
         if not (self._errs or self._warms):
             return self.servo
-        error = position_error(self.q, self.servo) if self._errs else 0.0
-        return np.asarray(self.servo + error + self._drift)
+        return np.asarray(self.servo + self._error() + self._drift)
+
+    def _error(self) -> Array:
+        return position_error(self.q, self.servo) if self._errs else np.zeros_like(self.servo)
 
     def _control(self) -> None:
         self._goals.push(self._goal)
@@ -110,12 +112,14 @@ class Plant:
     def _move(self) -> None:
         q, dt = self.q, DT
         self.belt_torque = self.belt.torque(q, self.servo, self.servo_speed, self.board, self.board_speed, dt)
-        self.board_speed = board_speed(q, self.board, self.board_speed, self.belt_torque + self.push, dt)
-        load = self.belt.reaction(q, self.belt_torque)
-        torque = np.where(self.torque_on, self.motor.torque(q, self.firmware.duty, self.servo_speed), 0.0) - load
+        pull = self.belt.on_board(q, self.belt_torque) + self.push
+        self.board_speed = board_speed(q, self.board, self.board_speed, pull, dt)
+        load = q.ratio * self.belt_torque
+        drive = np.where(self.torque_on, self.motor.torque(q, self.firmware.duty, self.servo_speed), 0.0)
+        torque = drive - load
         if self._cogs:
             torque = torque + cogging(q, self.servo)
-        dry = level(q, self.servo_speed, load, self._softening)
+        dry = level(q, self.servo_speed, drive + load, self._softening)
         if self.lugre.any:
             torque = torque - self.lugre.torque(q, self.servo_speed, dry, dt)
             dry = np.where(self.lugre.active, 0.0, dry)
@@ -132,7 +136,8 @@ class Plant:
             rise = warmed + np.maximum(self.motor.temperature - WARM - 5.0, 0.0)
             self._softening = np.clip(1.0 - q.thermal_friction * rise, 0.05, None)
             self._drift = q.thermal_bias * rise
-        encoder, pot = self._measured(), self.board
+        # Drift by warming is the encoder's own; the local error is not, for the reported angle has a sensor of its own.
+        encoder, pot = self.servo + self.q.error_reported * self._error() + self._drift, self.board
         if self._lags:
             self._encoder_filter += (encoder - self._encoder_filter) * -np.expm1(-PERIOD / np.maximum(q.encoder_lag, 1e-9))
             self._pot_filter += (pot - self._pot_filter) * -np.expm1(-PERIOD / np.maximum(q.pot_lag, 1e-9))

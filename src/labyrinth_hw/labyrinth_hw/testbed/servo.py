@@ -9,6 +9,7 @@ from labyrinth_hw.testbed.parameters import Array
 
 COPPER = 0.0039  # relative growth of resistance per kelvin
 MAGNET = 0.0012  # relative loss of flux per kelvin
+SAMPLE = 0.01  # s over which `d` counts the change of the error
 WARM = 25.0  # degC at which the constants hold
 
 
@@ -50,10 +51,10 @@ class Firmware:
         step = self.period * q.command_rate
         self.goal = np.where(self.limited, self.goal + np.clip(wanted - self.goal, -step, step), wanted)
         raw = self.goal - measured
-        error = np.where(np.abs(raw) > q.margin, raw, 0.0)
+        error = raw - np.clip(raw, -q.margin, q.margin)
         self.integral += self.period * error
         change, self.error = error - self.error, error
-        velocity = q.p * error + q.i * self.integral + q.d * change / self.period * 0.01
+        velocity = q.p * error + q.i * self.integral + q.d * change * (SAMPLE / self.period)
         torque = q.velocity_gain * (velocity - speed)
         follow = (torque / q.kt * q.resistance + q.ke * speed) / supply
         direct = q.duty_gain * error + q.punch * np.sign(error)

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated rig without serial ports and without real time: many rigs and trials at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labyrinth_hw.errors import InputError
+from labyrinth_hw.testbed.ball import Ball
+from labyrinth_hw.testbed.hidden import TestbedConfig
+from labyrinth_hw.testbed.parameters import Array, stack
+from labyrinth_hw.testbed.plant import PERIOD, Plant
+from labyrinth_hw.testbed.servo import quantised
+from labyrinth_hw.testbed.video_scene import Layout
+
+STAMP_JITTER = 0.0003  # s, standard deviation of the sampling instants
+NEXT_TRIAL = 3.0  # s between the end of a trial and the start of the next
+START_SPREAD = 0.002  # rad, from where a trial's start pose is approached
+
+
+@dataclass(frozen=True)
+class Run:
+    """p trials of one rig, T samples each, times from each trial's start.
+
+    Attributes:
+        stamps: (p, T) s, when encoders and potentiometers were read; uneven.
+        motor, motor_speed, effort: (p, T, 2) rad, rad/s, N m; axes x and y.
+        board: (p, T, 2) rad.
+        command_stamps: (T,) s.
+        commands: (T, 2) rad, as sent.
+        ball: (p, T, 2) m in the board frame as the camera sees it, NaN while lost; None without a ball.
+        hole: (p,) number of the hole the ball fell into, -1 if it did not.
+    """
+
+    stamps: Array
+    motor: Array
+    motor_speed: Array
+    effort: Array
+    board: Array
+    command_stamps: Array
+    commands: Array
+    ball: Array | None
+    hole: NDArray[np.int_]
+
+
+def run_offline(
+    config: TestbedConfig, time: Array, commands: Array, trials: int, seed: int, layout: Layout | None = None, lead: float = 1.0
+) -> Run:
+    """Play commands on one rig. See `run_many`."""
+    return run_many([config], time, commands, trials, [seed], layout, lead)[0]
+
+
+def run_many(
+    configs: Sequence[TestbedConfig], time: Array, commands: Array, trials: int, seeds: Sequence[int],
+    layout: Layout | None = None, lead: float = 1.0,
+) -> list[Run]:  # fmt: skip
+    """Play the same commands on many rigs, several trials each, all at once.
+
+    Args:
+        configs: n rigs.
+        time: (T,) s in even steps that are whole milliseconds, e.g. 10 ms.
+        commands: (T, 2) rad for x and y, each sent at its time.
+        trials: p of each rig.
+        seeds: n, of each rig's noise; the same seed gives the same trials whatever else runs beside it.
+        layout: walls and holes, for a ball; None leaves it out.
+        lead: s that the first command is held before time zero.
+
+    Returns:
+        n runs.
+
+    Raises:
+        InputError: wrong shapes, steps or numbers.
+    """
+    every = _check(configs, time, commands, trials, seeds)
+    count, rows = len(time), len(configs) * trials
+    q = stack([config.reality for config in configs], trials)
+    noises = [np.random.default_rng([seed, trial]) for seed in seeds for trial in range(trials)]
+    start = commands[0] + START_SPREAD * np.array([rng.standard_normal(2) for rng in noises])
+    ages = np.tile(np.arange(trials) * (count * every * PERIOD + NEXT_TRIAL), len(configs))
+    plant = Plant(q, start, ages)
+    noise = np.stack([rng.standard_normal((count, 11)) for rng in noises], axis=1)  # (T, rows, 11)
+    lost = np.stack([rng.random((count, 2)) for rng in noises], axis=1) < q.command_loss
+    ball = Ball(q, layout, np.tile(np.array(layout.path[0], dtype=float), (rows, 1))) if layout is not None else None
+    latency = max(1, int(np.ceil(q.camera_latency.max() / (every * PERIOD)))) + 1
+    trail: list[Array] = []
+
+    plant.command(np.tile(commands[0], (rows, 1)))
+    plant.advance(round(lead / PERIOD))
+    out = {name: np.empty((count, rows, 2)) for name in ("motor", "motor_speed", "effort", "board", "ball")}
+    stamps = np.empty((count, rows))
+    for k in range(count):
+        age = np.abs(STAMP_JITTER * noise[k, :, 10:])
+        stamps[k] = time[k] - age[:, 0]
+        angle, speed = plant.encoder(np.broadcast_to(age, (rows, 2)))
+        angle = q.encoder_gain * angle + q.encoder_bias + q.encoder_noise * noise[k, :, 0:2]
+        out["motor"][k] = quantised(angle, q.encoder_tick)
+        out["motor_speed"][k] = speed
+        out["effort"][k] = plant.motor.kt * plant.motor.current
+        pot = q.pot_gain * plant.pots(np.broadcast_to(age, (rows, 2))) + q.pot_bias + q.pot_noise * noise[k, :, 2:4]
+        out["board"][k] = quantised(pot, q.pot_tick)
+        if ball is not None and layout is not None:
+            trail = [*trail[-latency:], np.where(ball.lost[:, None], np.nan, ball.position)]
+            out["ball"][k] = _seen(trail, q.camera_latency[:, 0] / (every * PERIOD))
+            centre = 0.5 * np.array(layout.board)
+            out["ball"][k] = centre + q.camera_scale * (out["ball"][k] - centre) + q.camera_noise * noise[k, :, 8:10]
+        goal = np.where(lost[k], np.nan, commands[k])
+        plant.command(goal, q.command_jitter * noise[k, :, 4:6])
+        plant.push = q.torque_noise * noise[k, :, 6:8]
+        if ball is None:
+            plant.advance(every)
+        else:
+            for _ in range(every):
+                plant.advance(1)
+                ball.step(plant.board, PERIOD)
+    return [_run(out, stamps, ball, slice(i * trials, (i + 1) * trials), time, commands) for i in range(len(configs))]
+
+
+def _check(configs: Sequence[TestbedConfig], time: Array, commands: Array, trials: int, seeds: Sequence[int]) -> int:
+    complaints = []
+    if len(configs) < 1 or trials < 1 or len(seeds) != len(configs):
+        complaints.append(f"Expected at least one rig, one trial, and a seed for each rig; got {len(configs)}, {trials}, {len(seeds)}.")
+    if time.ndim != 1 or len(time) < 2 or commands.shape != (len(time), 2):
+        complaints.append(f"Expected time (T,) with T >= 2 and commands (T, 2), got {time.shape} and {commands.shape}.")
+    elif not np.isfinite(commands).all():
+        complaints.append("Commands must be finite angles in rad.")
+    every = round(float(np.diff(time).mean()) / PERIOD) if time.ndim == 1 and len(time) > 1 else 1
+    if not complaints and (every < 1 or not np.allclose(np.diff(time), every * PERIOD, atol=1e-6)):
+        complaints.append(f"Time must go in even steps of whole milliseconds, got {np.diff(time).min():g} to {np.diff(time).max():g} s.")
+    if complaints:
+        raise InputError(complaints)
+    return every
+
+
+def _seen(trail: list[Array], delay: Array) -> Array:
+    """Positions `delay` (rows,) samples ago, interpolated."""
+    whole = np.floor(delay).astype(int)
+    part = (delay - whole)[:, None]
+    past = np.stack(trail)
+    rows = np.arange(len(delay))
+    newer, older = (past[np.maximum(len(trail) - 1 - whole - i, 0), rows] for i in (0, 1))
+    return np.where(part > 0, newer + part * (older - newer), newer)
+
+
+def _run(out: dict[str, Array], stamps: Array, ball: Ball | None, rows: slice, time: Array, commands: Array) -> Run:
+    part = {name: np.ascontiguousarray(np.swapaxes(values[:, rows], 0, 1)) for name, values in out.items()}
+    return Run(
+        stamps=np.ascontiguousarray(stamps[:, rows].T),
+        motor=part["motor"],
+        motor_speed=part["motor_speed"],
+        effort=part["effort"],
+        board=part["board"],
+        command_stamps=np.array(time, dtype=float),
+        commands=np.array(commands, dtype=float),
+        ball=part["ball"] if ball is not None else None,
+        hole=ball.hole[rows].copy() if ball is not None else np.full(rows.stop - rows.start, -1),
+    )
