@@ -13,6 +13,8 @@ from eps_tunnel_analysis.shown import shown_value
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.trials import Array, Trials
 
+UNEVEN = 0.05  # error share beyond the time share from which a phase is told
+STANDS = 1e-9  # SI units; a signal with a smaller range stands still, and its error is taken as it is
 MOST_AMPLITUDES = 6  # more than these are put into as many equal classes
 
 
@@ -69,17 +71,36 @@ def where(real: Trials, sim: Trials) -> tuple[Misfit, ...]:
 
 
 def sentences(misfits: Iterable[Misfit], most: int = 3) -> tuple[str, ...]:
-    """Where the model fails in words, worst first: phases with far more of the error than of the time."""
-    rows = [m for m in misfits if m.kind == "phase and direction" and m.excess > 0.05 and m.rms > 0]
-    return tuple(_sentence(m) for m in sorted(rows, key=lambda m: -m.excess)[:most])
+    """Where the model fails in words, worst first.
+
+    Told are phases with far more of a signal's error than of its time, and signals whose error is spread evenly; both
+    weighed by the signal's share of all errors.
+    """
+    rows = list(misfits)
+    told: list[tuple[float, str]] = []
+    for axis in (m for m in rows if m.kind == "axis" and m.rms > 0):
+        phase = [m for m in rows if (m.kind, m.signal) == ("phase and direction", axis.signal) and m.excess > UNEVEN]
+        told += [(axis.error_share * m.excess, _sentence(m)) for m in phase]
+        if not phase:
+            told.append((axis.error_share * UNEVEN, _even(axis)))
+    return tuple(text for _, text in sorted(told, key=lambda pair: -pair[0])[:most])
 
 
 def _sentence(m: Misfit) -> str:
+    return (
+        f"{m.signal}, {m.group}: {m.error_share:.0%} of its squared error in {m.time_share:.0%} of the time; {_off(m)}."
+    )
+
+
+def _even(m: Misfit) -> str:
+    return f"{m.signal}: the error is spread evenly over the phases of the command; {_off(m)}."
+
+
+def _off(m: Misfit) -> str:
     side = "above" if m.mean > 0 else "below"
     return (
-        f"{m.signal}, {m.group}: {m.error_share:.0%} of its squared error in {m.time_share:.0%} of the time; "
         f"the simulation is {shown_value(abs(m.mean), m.unit)} {side} the real mean on average "
-        f"(RMS {shown_value(m.rms, m.unit)})."
+        f"(RMS {shown_value(m.rms, m.unit)})"
     )
 
 
@@ -135,7 +156,8 @@ def _axis_misfits(real: Trials, error: Array, measured: Array) -> list[Misfit]:
     weighed = {}
     for i in range(len(real.signals)):
         if seen[:, i].any():
-            span = float(np.ptp(measured[seen[:, i], i])) or 1.0
+            span = float(np.ptp(measured[seen[:, i], i]))
+            span = span if span > STANDS else 1.0
             weighed[i] = float(np.sum((error[seen[:, i], i] / span) ** 2))
     total, count = math.fsum(weighed.values()), int(seen.sum())
     rows = []

@@ -108,3 +108,12 @@ def test_shares_of_each_kind_sum_to_one_or_to_nothing(pair):
 def test_a_perfect_model_fails_nowhere():
     trials = make_trials(np.ones((2, 20, 2)), commands=np.zeros((2, 20, 1)))
     assert sentences(where(trials, trials)) == ()
+
+
+def test_an_even_offset_is_told_as_such():
+    commands = np.repeat(step_command()[None, :500, None], 2, axis=0)
+    rows = where(make_trials(np.zeros((2, 500, 1)), commands=commands), make_trials(np.full((1, 500, 1), -0.1)))
+    assert sentences(rows) == (
+        "a: the error is spread evenly over the phases of the command; the simulation is 5.73 deg below the real mean "
+        "on average (RMS 5.73 deg).",
+    )

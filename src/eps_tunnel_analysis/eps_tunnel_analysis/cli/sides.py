@@ -122,6 +122,8 @@ def load_sides(arguments: argparse.Namespace) -> Sides:
 
         assert model is not None
         sim_trials = roll_out(model, real.trials)
+        shared = [name for name in sim_trials.signals if name in real.trials.signals]
+        sim_trials = sim_trials.select(shared) if shared else sim_trials
         facts += _model_facts(model)
         if sim_trials.count > 1:
             facts.append(("simulation", "rolled out for each trial, whose commands differ"))

@@ -31,9 +31,10 @@
       layout[name] = { ...axis, ...layout[name] };
     }
     const spans = figure.outside[k] ?? [];
-    layout.shapes = (layout.shapes ?? []).concat(spans.map(([x0, x1]) => (
-      { type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, fillcolor: "var(--outside)", line: { width: 0 }, layer: "below" }
-    )));
+    if (spans.length) { // one path for all: hundreds of shapes would be slow
+      const path = spans.map(([a, b]) => `M${a},0L${b},0L${b},1L${a},1Z`).join("");
+      layout.shapes = [{ type: "path", xref: "x", yref: "paper", path, fillcolor: "var(--outside)", line: { width: 0 }, layer: "below" }];
+    }
     const view = node.layout ?? {};
     for (const name of Object.keys(layout).filter((key) => /^[xy]axis/.test(key))) {
       if (view[name] && view[name].autorange === false) layout[name].range = view[name].range;

@@ -47,17 +47,21 @@ def _tunnel(comparison: Comparison, i: int) -> Figure:
     factor, unit = shown_unit(real.units[i])
     low, high = (factor * bound[:, i] for bound in real.bounds(first.k_real))
     mean, simulated = factor * real.mean[:, i], factor * sim.mean[:, i]
+    outside = first.seen[:, i] & ~first.alike[:, i]
     figure = Figure(figsize=(7.2, 4.4), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for axes, centre in ((above, np.zeros_like(mean)), (below, mean)):
         axes.fill_between(real.time, low - centre, high - centre, color=REAL, alpha=0.2, lw=0, label="real tunnel")
         axes.plot(real.time, mean - centre, color=REAL, lw=1.2, label="real mean")
         axes.plot(real.time, simulated - centre, color=SIM, lw=1.2, label="simulation")
-        for span in first.spans(comparison.signals[i]):
-            axes.axvspan(span.start, span.end, color=OUTSIDE, alpha=0.08, lw=0)
+        across = axes.get_xaxis_transform()
+        axes.fill_between(
+            real.time, 0, 1, where=outside, step="post", transform=across, color=OUTSIDE, alpha=0.08, lw=0
+        )
     above.set_ylabel(f"{comparison.signals[i]} in {unit}" if unit else comparison.signals[i])
     below.set_ylabel(f"− real mean, {unit}" if unit else "− real mean")
     below.set_xlabel("time in s")
+    below.margins(x=0)
     above.legend(ncols=3, frameon=False, loc="lower left", bbox_to_anchor=(0, 1))
     above.set_title(f"k = {first.k_real:g}", loc="right", fontsize=9)
     return figure

@@ -31,11 +31,11 @@ def summary(comparison: Comparison) -> Section:
             (
                 shown_share(share),
                 error.signal,
-                f"RMS error {shown_value(error.rms, error.unit)}{relation}",
+                f"alike at k = {first.k_real:g}; RMS error {shown_value(error.rms, error.unit)}{relation}",
                 None if math.isnan(share) else share,
             )
         )
-    words = sentences(comparison.where) or ("The error is spread evenly over the phases of the command.",)
+    words = sentences(comparison.where) or ("The simulation equals the real mean.",)
     return Section(
         "How far",
         (Figures(cards), Points((*words, *comparison.notes))),

@@ -30,14 +30,16 @@ def tunnels(comparison: Comparison) -> Section:
 def _chart(comparison: Comparison, i: int) -> Chart:
     real, sim = comparison.real_tunnel, comparison.sim_tunnel
     factor, unit = shown_unit(real.units[i])
-    time = _numbers(real.time)
     mean, lower, upper = (factor * a[:, i] for a in (real.mean, real.lower, real.upper))
     simulated, low, high = (factor * a[:, i] for a in (sim.mean, *sim.bounds(comparison.alikeness[0].k_sim)))
     data: list[dict[str, Any]] = []
 
+    def add(name: str, axis: str, **extra: Any) -> None:
+        trace = {"type": "scatter", "mode": "lines", "name": name, "x0": float(real.time[0]), "dx": real.step}
+        data.append({**trace, "yaxis": axis, "hovertemplate": "%{y:.4g}", **extra})
+
     def line(name: str, y: Array, axis: str = "y", **extra: Any) -> None:
-        trace = {"type": "scatter", "mode": "lines", "name": name, "x": time, "y": _numbers(y), "yaxis": axis}
-        data.append({**trace, "hovertemplate": "%{y:.4g}", **extra})
+        add(name, axis, y=_numbers(y), **extra)
 
     def band(centre: Array, axis: str, legend: bool) -> None:
         edge = {"line": {"width": 0}, "hoverinfo": "skip", "hovertemplate": None, "legendgroup": "tunnel"}
@@ -46,7 +48,7 @@ def _chart(comparison: Comparison, i: int) -> Chart:
             extra = (
                 {"fill": fill, "fillcolor": "var(--tunnel)", "showlegend": legend} if fill else {"showlegend": False}
             )
-            line("tunnel", centre + deviation, axis, meta=meta, **edge, **extra)
+            add("tunnel", axis, meta=meta, **edge, **extra)
 
     band(mean, "y", True)
     channel = channel_of(comparison.signals[i], comparison.real.command_channels)
