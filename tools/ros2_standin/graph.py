@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 NODE_NAME_PREFIX = f"{HIDDEN_NODE_PREFIX}ros2cli"
 SPIN_TIME = 0.5  # s without news after which the graph counts as known
-LONELY_TIME = 2.0  # s to go on looking while nobody else is seen
+LONELY_TIME = 4.0  # s to go on looking while nobody else is seen
 NAMED_TIME = 3.0  # s to look for a topic or service that was asked for by name
 
 
