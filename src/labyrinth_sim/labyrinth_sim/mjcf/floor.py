@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A floor with round holes out of boxes, since MuJoCo subtracts no shapes.
+"""A floor with round holes out of convex pieces, since MuJoCo subtracts no shapes.
 
-Every hole gets a square cut-out, the rest of the floor is tiled by rectangles, and turned boxes fill the corners of each
-square up to a regular polygon. All tops are coplanar.
+Every hole sits in a square patch of wedges around a regular polygon; the rest of the floor is tiled by rectangles. All
+tops are coplanar. Where pieces meet, each reaches BEVEL_WIDTH under its neighbour, sloping down by BEVEL_SLOPE: a ball
+pressed into one piece would otherwise catch the edge of the next (docs/decisions/labyrinth_mjcf.md).
 """
 
 import math
@@ -10,20 +11,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array
 
 POLYGON_SIDES = 12
+PATCH_MARGIN = 0.004  # m from the polygon to the edge of its patch
+BEVEL_WIDTH = 0.0035  # m, less than PATCH_MARGIN
+BEVEL_SLOPE = 0.0005
 
 
 @dataclass(frozen=True)
-class Tile:
-    """A rectangle of floor: centre and half sizes in m, turned by `angle` rad about z."""
+class Piece:
+    """A convex piece of floor, its top at z = 0.
 
-    x: float
-    y: float
-    half_x: float
-    half_y: float
-    angle: float = 0.0
+    Attributes:
+        top: (n, 2) m, corners of the flat top, counter-clockwise.
+        foot: (m, 2) m, corners at the end of the bevel, where the vertical sides begin.
+    """
+
+    top: Array
+    foot: Array
+
+    def vertices(self, thickness: float) -> Array:
+        """(n + 2 m, 3) m: top, end of the bevel, underside at z = -thickness."""
+        levels = ((self.top, 0.0), (self.foot, -BEVEL_SLOPE * BEVEL_WIDTH), (self.foot, -thickness))
+        return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for flat, z in levels])
 
 
 def polygon_inradius(radius: float, sides: int = POLYGON_SIDES) -> float:
@@ -35,58 +47,87 @@ def polygon_inradius(radius: float, sides: int = POLYGON_SIDES) -> float:
     return 2 * radius / (1 + 1 / math.cos(math.pi / sides))
 
 
-def floor_tiles(low: Array, high: Array, holes: Array, radius: float, sides: int = POLYGON_SIDES) -> list[Tile]:
-    """Tiles that cover the rectangle from `low` to `high`, (2,) m each, but for holes at `holes`, (n, 2) m.
+def floor_tiles(low: Array, high: Array, holes: Array, radius: float) -> list[Piece]:
+    """Tiles that cover the rectangle from `low` to `high`, (2,) m each, but for the patches of `holes`, (n, 2) m.
+
+    Raises:
+        InputError: holes so close to one another that their patches overlap.
+    """
+    half = polygon_inradius(radius) + PATCH_MARGIN
+    apart = np.abs(holes[:, None] - holes[None, :]).max(axis=-1) + np.eye(len(holes))
+    if len(holes) and apart.min() < 2 * half:
+        i, j = np.unravel_index(apart.argmin(), apart.shape)
+        needed = f"at least {2e3 * half:.1f} mm along x or y are needed"
+        raise InputError(f"Holes {i + 1} and {j + 1} are {1e3 * apart.min():.1f} mm apart; {needed}.")
+    pieces = []
+    for x0, x1, y0, y1 in _rectangles(low, high, holes, half):
+        top = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        pieces.append(Piece(top, _outset(top, [BEVEL_WIDTH] * 4)))
+    return pieces
+
+
+def hole_wedges(radius: float, sides: int = POLYGON_SIDES) -> list[Piece]:
+    """The pieces of one patch, around a hole at the origin.
 
     Args:
-        radius: of the holes, m.
-        sides: of the polygons; a multiple of 4.
+        radius: of the hole, m.
+        sides: of the polygon; 12, 20, 28, ... so that the patch's corners are corners of wedges.
     """
     inner = polygon_inradius(radius, sides)
-    tiles = _rectangles(low, high, holes, inner)
-    for centre in holes:
-        tiles += _corners(float(centre[0]), float(centre[1]), inner, sides)
-    return tiles
-
-
-def _corners(x: float, y: float, inner: float, sides: int) -> list[Tile]:
-    """Boxes tangent to the inner circle, between the four sides that the square itself gives."""
-    pitch = 2 * math.pi / sides
-    tiles = []
+    half = inner + PATCH_MARGIN
+    outer_radius = inner / math.cos(math.pi / sides)
+    angles = (np.arange(sides + 1) - 0.5) * 2 * math.pi / sides
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    square = ring * half / np.abs(ring).max(axis=1, keepdims=True)
+    pieces = []
     for i in range(sides):
-        if i % (sides // 4) == 0:
-            continue
-        angle = i * pitch
-        # From the tangent out to the corner of the square, and as wide as to reach it from the polygon's far vertex.
-        corner = (math.floor(angle / (math.pi / 2)) + 0.5) * math.pi / 2 - angle
-        reach = [(inner, inner * math.tan(s * pitch / 2)) for s in (-1, 1)]
-        reach.append((math.sqrt(2) * inner * math.cos(corner), math.sqrt(2) * inner * math.sin(corner)))
-        u0, u1 = inner, max(u for u, _ in reach)
-        v0, v1 = min(v for _, v in reach), max(v for _, v in reach)
-        u, v = (u0 + u1) / 2, (v0 + v1) / 2
-        cos, sin = math.cos(angle), math.sin(angle)
-        tiles.append(Tile(x + u * cos - v * sin, y + u * sin + v * cos, (u1 - u0) / 2, (v1 - v0) / 2, angle))
-    return tiles
+        top = np.array([ring[i] * outer_radius, square[i], square[i + 1], ring[i + 1] * outer_radius])
+        # The last side is the hole's edge: sharp. Acute corners must not reach into the next hole.
+        foot = _outset(top, [BEVEL_WIDTH] * 3 + [0.0])
+        for normal in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            foot = _cut(foot, np.array(normal), half + BEVEL_WIDTH)
+        pieces.append(Piece(top, foot))
+    return pieces
 
 
-def _rectangles(low: Array, high: Array, holes: Array, half: float) -> list[Tile]:
-    """Partition of a rectangle minus squares: again and again the largest rectangle of free cells."""
-    edges = []
+def _outset(polygon: Array, by: list[float]) -> Array:
+    """(n, 2) corners of a convex polygon whose sides were moved outwards; side i starts at corner i."""
+    sides = np.roll(polygon, -1, axis=0) - polygon
+    normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1, keepdims=True)
+    offsets = (normals * polygon).sum(axis=1) + np.array(by)
+    corners = [np.linalg.solve(normals[[i - 1, i]], offsets[[i - 1, i]]) for i in range(len(polygon))]
+    return np.array(corners)
+
+
+def _cut(polygon: Array, normal: Array, limit: float) -> Array:
+    """(m, 2) corners of the part of a convex polygon where normal . x <= limit (Sutherland and Hodgman's clipping)."""
+    corners = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        over_a, over_b = float(normal @ a) - limit, float(normal @ b) - limit
+        if over_a <= 0:
+            corners.append(a)
+        if over_a * over_b < 0:
+            corners.append(a + over_a / (over_a - over_b) * (b - a))
+    return np.array(corners)
+
+
+def _rectangles(low: Array, high: Array, holes: Array, half: float) -> list[tuple[float, float, float, float]]:
+    """Partition of a rectangle minus squares into x0, x1, y0, y1, the largest free one first."""
+    lines = []
     for axis in (0, 1):
-        lines = np.concatenate([[low[axis], high[axis]], holes[:, axis] - half, holes[:, axis] + half])
-        edges.append(np.unique(np.round(lines, 9)))
-    xs, ys = edges
+        cuts = np.concatenate([[low[axis], high[axis]], holes[:, axis] - half, holes[:, axis] + half])
+        lines.append(np.unique(np.round(cuts, 9)))
+    xs, ys = lines
     mid_x, mid_y = (xs[:-1] + xs[1:]) / 2, (ys[:-1] + ys[1:]) / 2
     free = np.ones((len(mid_x), len(mid_y)), dtype=bool)
     for hx, hy in holes:
         free &= ~((np.abs(mid_x - hx) < half)[:, None] & (np.abs(mid_y - hy) < half)[None, :])
-    tiles = []
+    rectangles = []
     while free.any():
         i0, i1, j0, j1 = _largest(free, xs, ys)
         free[i0:i1, j0:j1] = False
-        x0, x1, y0, y1 = xs[i0], xs[i1], ys[j0], ys[j1]
-        tiles.append(Tile(*(float(v) for v in ((x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2))))
-    return tiles
+        rectangles.append((float(xs[i0]), float(xs[i1]), float(ys[j0]), float(ys[j1])))
+    return rectangles
 
 
 def _largest(free: np.ndarray, xs: Array, ys: Array) -> tuple[int, int, int, int]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """MJCF of the labyrinth, made from its geometry.
 
-World: x to the right, y away from the player, z up, the gimbal's centre at height PIVOT_HEIGHT. The outer frame turns about
-x (`board_x`), the inner board in it about y (`board_y`). Positive `board_y` makes the ball roll towards +x, positive
+World: x to the right, y away from the player, z up, the gimbal's centre at height PIVOT_HEIGHT. The outer frame turns
+about x (`board_x`), the inner board in it about y (`board_y`). Positive `board_y` makes the ball roll towards +x, positive
 `board_x` towards -y. Servo and board are joined by the tendons `belt_x`, `belt_y`: springs on ratio * motor - board.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from labyrinth_sim.mjcf.floor import Tile, floor_tiles
+from labyrinth_sim.mjcf.floor import Piece, floor_tiles, hole_wedges
 from labyrinth_sim.mjcf.geometry import Layout
 
 TIMESTEP = 0.002  # s; see docs/decisions/labyrinth_mjcf.md
@@ -31,9 +31,9 @@ BELT_RATIO = 1.0  # board angle per motor angle: the paper's motor angles are bo
 BELT_STIFFNESS = 100.0  # N m/rad: 1.6 deg at stall torque, hardly more than rigid; resonance at 45 Hz
 BELT_DAMPING = 0.3  # N m s/rad
 
-# Ball contact, the same with everything it touches. Impedance and time constant keep the ball within 0.01 mm of the floor.
+# Ball contact, the same with everything it touches: as stiff as the time step allows, 2 um deep at rest.
 FRICTION = "0.6 0.005 0.0001"  # steel on painted wood, estimate; only the first acts (condim 3)
-SOLREF, SOLIMP = "0.004 1", "0.95 0.99 0.0001"
+SOLREF, SOLIMP = "0.004 1", "0.99 0.999 0.0001"
 
 AXES = {"x": "1 0 0", "y": "0 1 0"}
 
@@ -52,11 +52,11 @@ def labyrinth_xml(layout: Layout, plain: bool = False) -> str:
     if not plain:
         option.set("cone", "elliptic")
         option.set("impratio", "10")
-    _looks(root)
+    asset = _looks(root)
     world = ET.SubElement(root, "worldbody")
     _surroundings(world, layout)
     frame = _frame(world, layout)
-    _board(frame, layout, plain)
+    _board(frame, asset, layout, plain)
     _motors(world, layout)
     if not plain:
         _ball(world, layout)
@@ -66,7 +66,7 @@ def labyrinth_xml(layout: Layout, plain: bool = False) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _looks(root: ET.Element) -> None:
+def _looks(root: ET.Element) -> ET.Element:
     visual = ET.SubElement(root, "visual")
     ET.SubElement(visual, "headlight", ambient="0.25 0.25 0.25", diffuse="0.25 0.25 0.25", specular="0.1 0.1 0.1")
     ET.SubElement(visual, "quality", shadowsize="4096", offsamples="8")
@@ -88,6 +88,7 @@ def _looks(root: ET.Element) -> None:
         ("servo", "0.13 0.14 0.16 1", "0.5", "0.5"),
     ):
         ET.SubElement(asset, "material", name=name, rgba=rgba, specular=specular, shininess=shininess)
+    return asset
 
 
 def _surroundings(world: ET.Element, layout: Layout) -> None:
@@ -117,7 +118,7 @@ def _frame(world: ET.Element, layout: Layout) -> ET.Element:
     return frame
 
 
-def _board(frame: ET.Element, layout: Layout, plain: bool) -> None:
+def _board(frame: ET.Element, asset: ET.Element, layout: Layout, plain: bool) -> None:
     board = ET.SubElement(frame, "body", name="board")
     width, depth = layout.board_size + 2 * RIM_WIDTH
     plate = [BOARD_MASS * side**2 / 12 for side in (depth, width)]
@@ -125,20 +126,34 @@ def _board(frame: ET.Element, layout: Layout, plain: bool) -> None:
     _hinge(board, "board_y", layout)
     half = layout.board_size / 2
     ET.SubElement(board, "site", name="board_origin", pos=_v([*-half, 0]), size="0.002", group="4")
-    holes = np.empty((0, 2)) if plain else layout.holes - half
-    tiles = floor_tiles(-half - RIM_WIDTH, half + RIM_WIDTH, holes, layout.hole_radius)
-    for number, tile in enumerate(tiles, 1):
-        _tile(board, f"floor_{number}", tile)
     _ring(board, "rim", half, RIM_WIDTH, 0.0, RIM_HEIGHT, "wall")
     if plain:
+        slab = {"pos": _v([0, 0, -FLOOR_THICKNESS / 2]), "size": _v([*(half + RIM_WIDTH), FLOOR_THICKNESS / 2])}
+        ET.SubElement(board, "geom", {"name": "floor"} | slab, material="floor")
         return
+    _floor(board, asset, layout)
     for number, (x0, x1, y0, y1) in enumerate(layout.walls(), 1):
         size = ((x1 - x0) / 2, (y1 - y0) / 2, layout.wall_height / 2)
         pos = ((x0 + x1) / 2 - half[0], (y0 + y1) / 2 - half[1], layout.wall_height / 2)
         ET.SubElement(board, "geom", name=f"wall_{number}", pos=_v(pos), size=_v(size), material="wall")
+
+
+def _floor(board: ET.Element, asset: ET.Element, layout: Layout) -> None:
+    half = layout.board_size / 2
+    holes = layout.holes - half
+    looks = {"type": "mesh", "material": "floor"}
+    for number, tile in enumerate(floor_tiles(-half - RIM_WIDTH, half + RIM_WIDTH, holes, layout.hole_radius), 1):
+        _mesh(asset, f"floor_{number}", tile)
+        ET.SubElement(board, "geom", {"name": f"floor_{number}", "mesh": f"floor_{number}"} | looks)
+    wedges = hole_wedges(layout.hole_radius)
+    for i, wedge in enumerate(wedges, 1):
+        _mesh(asset, f"wedge_{i}", wedge)
     for number, (x, y) in enumerate(holes, 1):
+        place = {"pos": _v([x, y, 0])}
         size = {"size": _n(layout.hole_radius), "rgba": "0 0 0 0", "group": "4"}
-        ET.SubElement(board, "site", {"name": f"hole_{number}", "pos": _v([x, y, 0])} | size)
+        ET.SubElement(board, "site", {"name": f"hole_{number}"} | place | size)
+        for i in range(1, len(wedges) + 1):
+            ET.SubElement(board, "geom", {"name": f"hole_{number}_{i}", "mesh": f"wedge_{i}"} | place | looks)
 
 
 def _motors(world: ET.Element, layout: Layout) -> None:
@@ -188,16 +203,8 @@ def _sensors(root: ET.Element, plain: bool) -> None:
         ET.SubElement(sensors, "framepos", {"name": "ball", "objtype": "body", "objname": "ball"} | reference)
 
 
-def _tile(parent: ET.Element, name: str, tile: Tile) -> None:
-    geom = {
-        "name": name,
-        "pos": _v([tile.x, tile.y, -FLOOR_THICKNESS / 2]),
-        "size": _v([tile.half_x, tile.half_y, FLOOR_THICKNESS / 2]),
-        "material": "floor",
-    }
-    if tile.angle:
-        geom["euler"] = _v([0, 0, tile.angle])
-    ET.SubElement(parent, "geom", geom)
+def _mesh(asset: ET.Element, name: str, piece: Piece) -> None:
+    ET.SubElement(asset, "mesh", name=name, vertex=_v(piece.vertices(FLOOR_THICKNESS).ravel()))
 
 
 def _ring(
