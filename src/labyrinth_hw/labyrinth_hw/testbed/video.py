@@ -9,15 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labyrinth_hw.testbed.video_floor import FLOOR, Floor, Frame
 from labyrinth_hw.testbed.video_scene import Array, Layout, Lens, Lighting, Scene, turn_x, turn_y
 
-Frame = NDArray[np.uint8]
-Slices = tuple[slice, slice]
 FINE = 2  # drawn pixels per picture pixel
-TEXELS = 2500.0  # floor texture, px per m
 SHIFT = 6  # fractional bits of polygon corners
-FLOOR, WALL, RIM, BOX = (112, 160, 198), (138, 182, 214), (78, 122, 164), (62, 100, 142)
-INSIDE, TABLE, LINE, HOLE, DOT = (34, 40, 46), (92, 92, 90), (30, 30, 34), (16, 18, 22), (168, 78, 22)  # BGR
+WALL, RIM, BOX = (138, 182, 214), (78, 122, 164), (62, 100, 142)
+INSIDE, TABLE, DOT = (34, 40, 46), (92, 92, 90), (168, 78, 22)  # BGR
+
 
 
 class Renderer:
@@ -43,74 +42,21 @@ class Renderer:
         self._eye = self._centre + np.array(self.lens.position)
         lamp = np.array(self.lighting.lamp)
         self._lamp = lamp / np.linalg.norm(lamp)
-        self._floor = self._draw_floor()
-        self._shade = self._draw_shade()
-        self._field, self._glare = self._draw_field()
-        self._solids = np.array([*layout.walls, *self._rim()])
+        self._floor = Floor(layout, self.lighting, self.lens.position[2], self._rng)
+        self._field = self._draw_field()
+        self._solids = np.array([*layout.walls, *layout.rim()])
 
     # -- the fixed parts, drawn once ----------------------------------------------------------------------------------
 
-    def _rim(self) -> list[tuple[float, float, float, float]]:
-        (w, d), t = self.layout.board, 0.0075
-        return [(-t, -t, w + t, 0), (-t, d, w + t, d + t), (-t, 0, 0, d), (w, 0, w + t, d)]
-
-    def _texel(self, points: Array) -> Array:
-        """(n, 2) m on the floor -> (n, 2) texture px; y runs down in the texture."""
-        return np.column_stack([points[:, 0], self.layout.board[1] - points[:, 1]]) * TEXELS - 0.5
-
-    def _draw_floor(self) -> Frame:
-        board = self.layout.board
-        size = (round(board[0] * TEXELS), round(board[1] * TEXELS))
-        grain = self._rng.standard_normal((size[1], size[0])).astype(np.float32)
-        grain = cv2.GaussianBlur(grain, (0, 0), 25, sigmaY=1.2)
-        floor = np.array(FLOOR, np.float32) * (1 + 0.04 * grain[..., None] / grain.std())
-        floor = np.ascontiguousarray(np.clip(floor, 0, 255).astype(np.uint8))
-        self._varnish = np.ones((size[1], size[0], 3), np.float32)  # holes mirror nothing
-        path = np.round(self._texel(np.array(self.layout.path).reshape(-1, 2)) * 16).astype(np.int32)
-        if len(path):
-            cv2.polylines(floor, [path], False, LINE, round(0.0016 * TEXELS), cv2.LINE_AA, 4)
-        reach = -self._lamp[:2] / self._lamp[2] * self.layout.wall_height
-        shadow = np.zeros(floor.shape[:2], np.uint8)
-        for x0, y0, x1, y1 in [*self.layout.walls, *self._rim()]:
-            foot = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-            outline = cv2.convexHull(self._texel(np.vstack([foot, foot + reach])).astype(np.float32))
-            cv2.fillConvexPoly(shadow, np.round(outline).astype(np.int32), 255)
-        soft = cv2.GaussianBlur(shadow, (0, 0), 3).astype(np.float32) / 255
-        floor = (floor * (1 - self.lighting.shadow * soft[..., None])).astype(np.uint8)
-        for hole in self._texel(np.array(self.layout.holes).reshape(-1, 2)):
-            at = tuple(int(v) for v in np.round(hole * 16))
-            radius = self.layout.hole_radius * TEXELS
-            cv2.circle(floor, at, round(radius * 16), (70, 104, 132), -1, cv2.LINE_AA, 4)
-            cv2.circle(floor, at, round((radius - 1.5) * 16), HOLE, -1, cv2.LINE_AA, 4)
-            cv2.circle(self._varnish, at, round(radius * 16), (0.0, 0.0, 0.0), -1, cv2.LINE_8, 4)
-        return np.ascontiguousarray(floor)
-
-    def _draw_shade(self) -> NDArray[np.float32]:
-        """Share of the light that the ball leaves on the floor around its contact point, 161 x 161 texels."""
-        half, radius = 80, self.layout.ball_radius * TEXELS
-        shade = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
-        reach = np.array([-self._lamp[0], self._lamp[1]]) / self._lamp[2] * radius
-        length = radius / self._lamp[2]
-        angle = float(np.degrees(np.arctan2(reach[1], reach[0])))
-        cv2.ellipse(shade, ((half + reach[0], half + reach[1]), (2 * length, 2 * radius), angle), 1.0, -1)
-        soft = self.lighting.shadow * cv2.GaussianBlur(shade, (0, 0), 3.0)
-        y, x = np.mgrid[-half : half + 1, -half : half + 1]
-        contact = 0.5 * np.exp(-(x**2 + y**2) / (2 * (0.55 * radius) ** 2))
-        return ((1 - soft) * (1 - contact)).astype(np.float32)
-
-    def _draw_field(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Light that multiplies the picture, and the glare patch that is added to the floor's texture."""
+    def _draw_field(self) -> NDArray[np.float32]:
+        """Light that multiplies the picture."""
         width, height = self.lens.size
         x, y = np.meshgrid(np.linspace(-0.5, 0.5, width), np.linspace(0.5, -0.5, height))
         light = self.lighting
         vignette = 1 - 0.25 * (x**2 + y**2)
         field = light.level * (1 + light.gradient[0] * x + light.gradient[1] * y) * vignette
         tint = np.array([1 - light.warmth, 1 - light.warmth / 3, 1 + light.warmth / 4])
-        size = light.glare_size * TEXELS
-        half = int(2.5 * size)
-        v, u = np.mgrid[-half : half + 1, -half : half + 1] / size
-        glare = 255 * light.glare * np.exp(-((u**2 + v**2) ** 1.5) / 2)
-        return (field[..., None] * tint).astype(np.float32), np.repeat(glare[..., None], 3, 2).astype(np.float32)
+        return (field[..., None] * tint).astype(np.float32)
 
     def _bend_map(self) -> NDArray[np.float32]:
         width, height = self.lens.size
@@ -167,13 +113,10 @@ class Renderer:
             self._fill(canvas, self._project((circle + dot) @ rotation.T + translation), DOT)
 
     def _draw_board(self, canvas: Frame, rotation: Array, translation: Array, scene: Scene) -> None:
-        floor = self._lit_floor(scene)
-        depth = self.layout.board[1]
+        floor = self._floor.lit(scene)
         columns = np.column_stack([rotation[:, 0], rotation[:, 1], translation])
-        texture = np.array([[1 / TEXELS, 0, 0.5 / TEXELS], [0, -1 / TEXELS, depth - 0.5 / TEXELS], [0, 0, 1]])
-        cv2.warpPerspective(
-            floor, self._pinhole @ columns @ texture, self._canvas, canvas, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT
-        )
+        warp = self._pinhole @ columns @ self._floor.metres
+        cv2.warpPerspective(floor, warp, self._canvas, canvas, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
         eye = rotation.T @ -translation  # camera in the board frame
         boxes = self._solids
         nearest = np.clip(eye[:2], boxes[:, :2], boxes[:, 2:])
@@ -190,28 +133,6 @@ class Renderer:
                 self._draw_solid(canvas, boxes[index], flat[index], eye, index >= len(self.layout.walls))
             if not behind.all():
                 self._draw_dots(canvas, self.layout.inner_dots, rotation, translation)
-
-    def _lit_floor(self, scene: Scene) -> Frame:
-        """The floor's texture with the ball's shade and the glare where the tilt puts it."""
-        light = self.lighting
-        if scene.ball is None and light.glare == 0:
-            return self._floor
-        floor = self._floor.copy()
-        if scene.ball is not None:
-            at = self._texel(np.array([scene.ball]))[0]
-            corner = np.floor(at).astype(int) - 80
-            shift = np.array([[1, 0, at[0] - 80 - corner[0]], [0, 1, at[1] - 80 - corner[1]]], np.float32)
-            shade = cv2.warpAffine(self._shade, shift, (162, 162), borderValue=1.0)
-            here, there = _overlap(floor, shade, corner)
-            floor[here] = floor[here] * shade[there][..., None]
-        if light.glare > 0:
-            # A mirror turned by a turns its image by 2 a: from a height h it wanders over the floor by h a.
-            height = self.lens.position[2]
-            centre = np.array(light.glare_at) * self.layout.board + height * np.array([scene.tilt[1], -scene.tilt[0]])
-            corner = np.round(self._texel(centre[None])[0]).astype(int) - self._glare.shape[0] // 2
-            here, there = _overlap(floor, self._glare, corner)
-            floor[here] = np.minimum(floor[here] + self._glare[there] * self._varnish[here], 255)
-        return floor
 
     def _draw_solid(self, canvas: Frame, box: Array, flat: Array, eye: Array, rim: bool) -> None:
         colour = np.array(RIM if rim else WALL, np.float64)
@@ -305,11 +226,3 @@ def _behind(boxes: Array, ball: Array, eye: Array) -> NDArray[np.bool_]:
     face = np.argmax(gaps, 1)
     camera = np.concatenate([eye[:2] - high, low - eye[:2]], 1)
     return camera[np.arange(len(boxes)), face] > 0
-
-
-def _overlap(picture: Frame, patch: NDArray[np.float32], corner: NDArray[np.int_]) -> tuple[Slices, Slices]:
-    """Where a patch whose upper left corner is at `corner` lies in the picture, and which part of it that is."""
-    x, y = int(corner[0]), int(corner[1])
-    x0, y0 = max(x, 0), max(y, 0)
-    x1, y1 = max(min(x + patch.shape[1], picture.shape[1]), x0), max(min(y + patch.shape[0], picture.shape[0]), y0)
-    return (slice(y0, y1), slice(x0, x1)), (slice(y0 - y, y1 - y), slice(x0 - x, x1 - x))

@@ -69,6 +69,11 @@ class Layout:
         """From `config/labyrinth_geometry.yaml`, or a file with its keys."""
         return Layout.from_mapping(yaml.safe_load(Path(path).read_text(encoding="utf-8")), layout)
 
+    def rim(self) -> tuple[tuple[float, float, float, float], ...]:
+        """(x0, y0, x1, y1) of the four sides of the board's frame, as high as the walls."""
+        (w, d), t = self.board, 0.0075
+        return (-t, -t, w + t, 0), (-t, d, w + t, d + t), (-t, 0, 0, d), (w, 0, w + t, d)
+
     def dots(self, size: Point) -> Array:
         """(4, 3) m: lower left, lower right, upper right, upper left dot of a rectangle about the board's centre."""
         centre = np.array(self.board) / 2
