@@ -21,6 +21,7 @@ from eps_tunnel_analysis.tunnel import HALF_WIDTH, Tunnel, build_tunnel, smooth
 from labyrinth_sim.trials import Array, Trials
 
 REAL, SIM = "real", "sim"
+SECOND = 1_000_000_000  # ns
 MEMORY = 2.0
 """s of samples kept, for a start mark that comes after the samples it begins with"""
 
@@ -83,7 +84,7 @@ class _Stream:
         if stamp <= self.newest:
             return False
         self.recent.append((stamp, values))
-        while len(self.recent) > 2 and self.recent[1][0] < stamp - MEMORY * 1e9:
+        while len(self.recent) > 2 and self.recent[1][0] < stamp - MEMORY * SECOND:
             self.recent.popleft()
         return True
 
@@ -100,7 +101,7 @@ class _Trial:
         self.values = np.full((len(self.time), len(signals)), np.nan)
         self.ended = False
         # Only streams that were there at the start are waited for.
-        self._streams = {key: stream for key, stream in streams.items() if stream.newest > mark.stamp - round(0.5e9)}
+        self._streams = {key: stream for key, stream in streams.items() if stream.newest > mark.stamp - SECOND // 2}
         for stream in streams.values():
             samples = list(stream.recent)
             for before, now in zip([None, *samples[:-1]], samples, strict=True):
@@ -165,6 +166,7 @@ class LiveGap:
         self._running: dict[str, _Trial] = {}
         self._commands: dict[str, _Command] = {}
         self._current: _Command | None = None
+        self._started: set[str] = set()
         self._judged = 0
 
     def start(self, side: str, mark: TrialMark) -> list[Judged]:
@@ -184,15 +186,20 @@ class LiveGap:
         if command is None or len(command.time) != len(trial.time):
             return []
         self._current = command
+        if side in self._started:
+            self._started.clear()
+        if not self._started:
+            self._judged = 0
+        self._started.add(side)
         self._running[side] = trial
-        self._judged = 0
         return self._judge_new()
 
     def add(self, side: str, stream: str, names: Sequence[str], stamp: int, values: Array) -> list[Judged]:
         """One measurement: `values` of the signals `names` at `stamp` (ns), NaN where not measured."""
-        known = self._streams[side].get(stream)
-        if known is None or known.names != tuple(names):
-            known = self._streams[side][stream] = _Stream(tuple(names))
+        known = self._streams[side].setdefault(stream, _Stream(tuple(names)))
+        if known.names != tuple(names):  # another publisher, or a model with other joints
+            known.names = tuple(names)
+            known.recent.clear()
         before = known.recent[-1] if known.recent else None
         if not known.add(stamp, values) or side not in self._running:
             return []
@@ -284,6 +291,11 @@ class LiveGap:
         if command is None or not self._running:
             return []
         ready = min(trial.ready() for trial in self._running.values())
+        stamp = max(trial.mark.stamp for trial in self._running.values())
+        for side in {REAL, SIM} - self._started:
+            # A side that measures will start this trial, too; one that is silent does not take part.
+            if any(stream.newest > stamp - SECOND for stream in self._streams[side].values()):
+                return []
         if ready <= self._judged:
             return []
         rows = slice(self._judged, ready)

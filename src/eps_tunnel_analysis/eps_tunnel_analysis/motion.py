@@ -18,7 +18,9 @@ def smooth_path(start: Array, end: Array, speed: float, rate: float) -> Array:
     distance = float(np.max(np.abs(end - start), initial=0.0))
     count = max(1, math.ceil(15 / 8 * distance / speed * rate))
     x = np.arange(1, count + 1)[:, None] / count
-    return np.asarray(start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5), dtype=np.float64)
+    path = np.asarray(start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5), dtype=np.float64)
+    path[-1] = end  # free of rounding
+    return path
 
 
 class RestWatch:

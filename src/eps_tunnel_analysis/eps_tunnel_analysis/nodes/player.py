@@ -41,7 +41,7 @@ class Player(TunnelNode):
             angle=deg(number("limit_deg", 5.0, "Largest target angle in either direction", "deg", 0, 180)),
             speed=deg(number("return_speed_deg", 20.0, "Speed on the way to the start", "deg/s", 0.1, 1000)),
             rest_timeout=number("rest_timeout", 20.0, "Longest wait for rest before a trial", "s", 0.1, 3600),
-            silence=self.parameter("silence_timeout", 0.5, "Longest silence of joint states", "s", 0.02, 60),
+            silence=self.parameter("silence_timeout", 1.0, "Longest silence of joint states", "s", 0.02, 60),
             connect_timeout=self.parameter(
                 "connect_timeout", 10.0, "Longest wait for the sides to appear", "s", 0.1, 3600
             ),

@@ -115,11 +115,13 @@ class Recorder:
         return bags
 
     def _subscribe(self, side: str, name: str, kind: Any) -> None:
+        order = _Order()
+
         def matched(info: QoSSubscriptionMatchedInfo) -> None:
             self.matched[name] = info.total_count
 
         def received(message: bytes, info: MessageInfo) -> None:
-            arrival = info["received_timestamp"] or time.time_ns()
+            arrival = order.arrival(info)
             writer = self._writers.get(side)
             if writer is not None:
                 try:
@@ -147,6 +149,25 @@ class Recorder:
         if message not in self.errors:
             self.errors.append(message)
             self._node.get_logger().error(message)
+
+
+class _Order:
+    """Arrival times in the order of sending.
+
+    When a publisher and this reader have just found each other, DDS delivers the newest message first and those before
+    it after. Such a latecomer is logged at the time at which it would have come in its turn.
+    """
+
+    def __init__(self) -> None:
+        self._sent, self._arrived = 0, 0
+
+    def arrival(self, info: MessageInfo) -> int:
+        """ns by this machine's clock."""
+        arrived, sent = info["received_timestamp"] or time.time_ns(), info["source_timestamp"]
+        if sent >= self._sent:
+            self._sent, self._arrived = sent, arrived
+            return arrived
+        return self._arrived - (self._sent - sent)
 
 
 def _versions() -> dict[str, str]:
