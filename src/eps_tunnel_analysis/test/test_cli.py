@@ -13,16 +13,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import recording_cases
 from bag_files import (
+    SECONDS,
     START,
     STEP,
     String,
+    command,
     grid,
     joint_states,
     response,
     servo_bag,
     write_bag,
 )
+
+from eps_tunnel_analysis.recording import BagWriter
+from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL
 
 PATHS = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2] / "labyrinth_sim")]
 ENVIRONMENT = {
@@ -176,6 +182,29 @@ def test_trials_of_different_length(bags, tmp_path):
 def test_trials_of_different_sequences(bags, tmp_path):
     other = servo_bag(tmp_path / "other", commands=joint_states(0.1 * np.sin(9 * grid())))
     refused("compare", "--real", bags / "real" / "trial_0", other, "--sim", bags / "sim", told=["other", "sequence"])
+
+
+def marked_bag(folder, side, sequence_hash):
+    """One trial with its marks on NS/trial."""
+    time, stamp = grid(), START + STEP * np.arange(201)
+    with BagWriter(folder) as writer:
+        for topic in ("joint_commands", "joint_states"):
+            writer.add_topic(f"{side}/{topic}", JOINT_STATE)
+        writer.add_topic(f"{side}/trial", TRIAL)
+        writer.write(f"{side}/trial", START, recording_cases.mark(START, 0, 0, SECONDS, sequence_hash))
+        for at, target, value in zip(stamp, command(time), response(time), strict=True):
+            for topic, position in (("joint_commands", target), ("joint_states", value)):
+                writer.write(f"{side}/{topic}", int(at), recording_cases.joints(int(at), ["servo"], [position]))
+        end = int(stamp[-1])
+        writer.write(f"{side}/trial", end, recording_cases.mark(end, 1, 0, SECONDS, sequence_hash))
+    return folder
+
+
+def test_two_sides_that_played_different_sequences(tmp_path):
+    real = marked_bag(tmp_path / "real", "/real", "a" * 64)
+    same, other = marked_bag(tmp_path / "same", "/sim", "a" * 64), marked_bag(tmp_path / "other", "/sim", "b" * 64)
+    assert eps_tunnel("compare", "--real", real, "--sim", same).returncode == 0
+    refused("compare", "--real", real, "--sim", other, told=["different sequences", "aaaaaaaaaaaa", "bbbbbbbbbbbb"])
 
 
 def test_two_sides_of_different_length(bags, tmp_path):

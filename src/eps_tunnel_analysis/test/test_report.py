@@ -3,6 +3,8 @@
 
 import json
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 
 import numpy as np
@@ -15,6 +17,7 @@ from eps_tunnel_analysis.report.page import Bar, Chart, Section, Table, Text, re
 from eps_tunnel_analysis.report.pictures import write_pictures
 from eps_tunnel_analysis.shown import shown_share, shown_value
 
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 TIME = np.arange(200) * 0.01
 COMMAND = np.where(TIME >= 0.5, 0.05, 0.0)[None, :, None]
 
@@ -127,3 +130,20 @@ def test_units_are_shown_as_people_read_them():
     assert shown_value(2.0, "1") == "2"
     assert shown_value(np.nan, "rad") == "–"
     assert shown_share(0.13741) == "13.74 %"
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="no chromium on PATH")
+def test_a_browser_draws_every_chart(html, tmp_path):
+    (tmp_path / "report.html").write_text(html, encoding="utf-8")
+    flags = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--virtual-time-budget=10000",
+        f"--user-data-dir={tmp_path}",
+    ]
+    page = (tmp_path / "report.html").as_uri()
+    result = subprocess.run([CHROMIUM, *flags, "--dump-dom", page], capture_output=True, text=True, timeout=120)
+    drawn = re.findall(r'class="chart js-plotly-plot"', result.stdout)
+    assert len(drawn) == len(Page(html).data)
+    assert "var(--" not in re.sub(r"<(style|script).*?</\1>", "", result.stdout, flags=re.DOTALL)

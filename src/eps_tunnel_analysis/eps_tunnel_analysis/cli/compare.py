@@ -2,11 +2,9 @@
 """compare: how far a simulation is from reality, and where."""
 
 import argparse
-import csv
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,8 +63,11 @@ def run(arguments: argparse.Namespace) -> None:
     }
     content["notes"] = [*sides.notes, *content["notes"]]
     if arguments.out:
+        from eps_tunnel_analysis.report.files import write_comparison
+
+        title = f"Real against {sides.model.name if sides.model else 'simulation'}"
         with _busy("Writing the report"), new_folder(arguments.out) as folder:
-            _write(folder, comparison, sides, content)
+            write_comparison(folder, comparison, content, title, _facts(sides))
     if arguments.json:
         json.dump(content, sys.stdout, indent=1, allow_nan=False)
         print()
@@ -120,45 +121,11 @@ def _print(comparison: "Comparison", sides: Sides) -> None:
         out.print(f"Note: {note}", soft_wrap=True, markup=False)
 
 
-def _write(folder: Path, comparison: "Comparison", sides: Sides, content: dict[str, Any]) -> None:
-    from eps_tunnel_analysis.report.compare_report import compare_report
-    from eps_tunnel_analysis.report.pictures import write_pictures
-
-    other = sides.model.name if sides.model else "simulation"
-    trials = comparison.real.count
-    facts = [
-        *((name, value) for name, value in sides.facts),
+def _facts(sides: Sides) -> list[tuple[str, str]]:
+    return [
+        *sides.facts,
         *(("note", note) for note in sides.notes),
         ("command", shlex.join(["eps-tunnel", *sys.argv[1:]])),
         ("versions", ", ".join(f"{name} {v}" for name, v in versions().items())),
         ("made", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),
     ]
-    page = compare_report(
-        comparison,
-        f"Real against {other}",
-        f"{trials} real trial{'s' * (trials > 1)}, {', '.join(comparison.signals)}, "
-        f"{comparison.real.time[-1] + comparison.real.step:.1f} s",
-        facts,
-    )
-    (folder / "report.html").write_text(page, encoding="utf-8")
-    (folder / "compare.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    names = comparison.signals
-    _csv(folder / "alikeness.csv", ("k", *names, "jointly"),
-         ((a.k_real, *(a.shares[n] for n in names), a.joint) for a in comparison.alikeness))  # fmt: skip
-    for file in ("errors", "where", "spans"):
-        rows = content[file]
-        _csv(folder / f"{file}.csv", tuple(rows[0]) if rows else ("signal",), (tuple(row.values()) for row in rows))
-    real, sim = comparison.real_tunnel, comparison.sim_tunnel
-    columns = [f"{n}_{what}" for n in names for what in ("mean", "lower", "upper", "sim", "sim_lower", "sim_upper")]
-    _csv(folder / "tunnel.csv", ("time", *columns),
-         ((t, *(a[i, j] for j in range(len(names)) for a in
-                (real.mean, real.lower, real.upper, sim.mean, sim.lower, sim.upper)))
-          for i, t in enumerate(real.time)))  # fmt: skip
-    write_pictures(comparison, folder)
-
-
-def _csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(header)
-        writer.writerows(rows)
