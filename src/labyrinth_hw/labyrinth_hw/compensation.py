@@ -30,7 +30,9 @@ class Compensation:
     def __post_init__(self) -> None:
         complaints = []
         if len(self.angles) != len(self.errors):
-            complaints.append(f"The error map needs as many errors as angles, got {len(self.errors)} and {len(self.angles)}.")
+            complaints.append(
+                f"The error map needs as many errors as angles, got {len(self.errors)} and {len(self.angles)}."
+            )
         if any(b <= a for a, b in zip(self.angles, self.angles[1:], strict=False)):
             complaints.append("The angles of the error map must increase.")
         if not np.isfinite([*self.angles, *self.errors, self.slack]).all() or self.slack < 0:
@@ -79,8 +81,10 @@ def measured_map(goals: Sequence[float], rising: Sequence[float], falling: Seque
     """
     told, up, down = (np.asarray(values, dtype=float) for values in (goals, rising, falling))
     if not told.shape == up.shape == down.shape or told.ndim != 1 or len(told) < 2:
-        raise InputError(f"A map needs at least two goals and as many rests from each side, got {told.shape}, {up.shape}, {down.shape}.")
-    # What is the same everywhere is the potentiometer's zero, not the servo's error; it stays in, for the board shall be level.
+        raise InputError(
+            f"A map needs two goals or more and a rest from each side, got {told.shape}, {up.shape}, {down.shape}."
+        )
+    # An offset that is the same everywhere (the potentiometer's zero) stays in the map, for the board shall be level.
     slack = max(0.0, float(np.median(down - up)))
     return Compensation(tuple(told), tuple(0.5 * (up + down) - told), slack)
 
@@ -89,9 +93,13 @@ def compensation_from(name: str, entry: Mapping[str, Any]) -> Compensation:
     """From `config/hw/*.yaml`: {angles_deg, errors_deg, slack_deg}."""
     unknown = set(entry) - {"angles_deg", "errors_deg", "slack_deg"}
     if unknown:
-        raise InputError(f"Compensation of {name}: unknown keys {sorted(unknown)}; valid are angles_deg, errors_deg, slack_deg.")
+        raise InputError(
+            f"Compensation of {name}: unknown keys {sorted(unknown)}; valid are angles_deg, errors_deg, slack_deg."
+        )
     try:
-        angles, errors = (tuple(np.radians(np.array(entry.get(k, ()), dtype=float))) for k in ("angles_deg", "errors_deg"))
+        angles, errors = (
+            tuple(np.radians(np.array(entry.get(k, ()), dtype=float))) for k in ("angles_deg", "errors_deg")
+        )
         return Compensation(angles, errors, float(np.radians(float(entry.get("slack_deg", 0.0)))))
     except (TypeError, ValueError) as error:
         raise InputError(f"Compensation of {name}: {error}") from error

@@ -37,7 +37,9 @@ def _split(variable: str) -> list[Path]:
 
 def names(kind: str) -> tuple[str, ...]:
     """Every name that `find` knows for this kind."""
-    return tuple(sorted({file.stem for folder in folders(kind) for file in folder.iterdir() if file.suffix in SUFFIXES}))
+    return tuple(
+        sorted({file.stem for folder in folders(kind) for file in folder.iterdir() if file.suffix in SUFFIXES})
+    )
 
 
 def find(kind: str, name: str | Path) -> Path:

@@ -5,7 +5,7 @@ A register's value in SI units is `(raw - offset) * unit`. `sign` tells how raw 
 "bit" (sign and magnitude, the bit above the magnitude's), or "two" (two's complement).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 
 from labyrinth_hw.errors import InputError, unknown_name
@@ -132,7 +132,9 @@ PROTOCOL_2_PACKET_ERRORS = {
 }
 
 
-def _protocol_1(model: int, ticks: int, turn: float, speed: float, *, gains: bool, current: bool) -> dict[str, Register]:
+def _protocol_1(
+    model: int, ticks: int, turn: float, speed: float, *, gains: bool, current: bool
+) -> dict[str, Register]:
     """DX and MX servos: one byte addresses; sign and magnitude; position counts from one end, zero in the middle."""
     tick, middle = turn / ticks, ticks // 2
     table = {
@@ -244,51 +246,71 @@ def _protocol_2(model: int, *, current: float | None, volts: tuple[int, int], p_
     return table
 
 
+def _servo(
+    name: str, number: int, protocol: int, registers: dict[str, Register], figures: tuple[float, float, float, float]
+) -> ServoModel:
+    """figures: stall torque N m, torque constant N m/A (0 where no current is told), nominal V, no-load speed rpm."""
+    torque, constant, volts, speed = figures
+    return ServoModel(
+        name=name,
+        number=number,
+        protocol=protocol,
+        registers=registers,
+        bulk_read=name != "DX-117",
+        stall_torque=torque,
+        torque_constant=constant,
+        voltage=volts,
+        no_load_speed=speed * RPM,
+        shutdown=PROTOCOL_1_ERRORS if protocol == 1 else PROTOCOL_2_HARDWARE_ERRORS,
+    )
+
+
 def _models() -> dict[str, ServoModel]:
-    degrees = pi / 180
-    mx = {"protocol": 1, "bulk_read": True, "shutdown": PROTOCOL_1_ERRORS}
-    two = {"protocol": 2, "bulk_read": True, "shutdown": PROTOCOL_2_HARDWARE_ERRORS}
-    mx64 = ServoModel(
-        "MX-64", 310, registers=_protocol_1(310, 4096, 2 * pi, 0.114 * RPM, gains=True, current=True),
-        stall_torque=6.0, torque_constant=1.46, voltage=12.0, no_load_speed=63 * RPM, **mx,
-    )  # fmt: skip
-    mx106 = ServoModel(
-        "MX-106", 320, registers=_protocol_1(320, 4096, 2 * pi, 0.114 * RPM, gains=True, current=True),
-        stall_torque=8.4, torque_constant=1.62, voltage=12.0, no_load_speed=45 * RPM, **mx,
-    )  # fmt: skip
+    ten_bit, twelve_bit = (1024, 300 * pi / 180), (4096, 2 * pi)
+    speed = 0.114 * RPM
+    mx64, mx106 = (6.0, 1.46, 12.0, 63.0), (8.4, 1.62, 12.0, 45.0)
+    mx_volts, xl330_volts = (95, 160), (35, 70)
     models = (
-        ServoModel(
-            "DX-117", 117, 1, _protocol_1(117, 1024, 300 * degrees, 0.111 * RPM, gains=False, current=False),
-            bulk_read=False, stall_torque=3.85, torque_constant=0.0, voltage=16.0, no_load_speed=8.1,
-            shutdown=PROTOCOL_1_ERRORS,
+        _servo(
+            "DX-117",
+            117,
+            1,
+            _protocol_1(117, *ten_bit, 0.111 * RPM, gains=False, current=False),
+            (3.85, 0.0, 16.0, 77.0),
         ),
-        ServoModel(
-            "MX-12W", 360, registers=_protocol_1(360, 4096, 2 * pi, 0.916 * RPM, gains=True, current=False),
-            stall_torque=0.2, torque_constant=0.0, voltage=12.0, no_load_speed=470 * RPM, **mx,
+        _servo(
+            "MX-12W",
+            360,
+            1,
+            _protocol_1(360, *twelve_bit, 0.916 * RPM, gains=True, current=False),
+            (0.2, 0.0, 12.0, 470.0),
         ),
-        mx64,
-        mx106,
-        replace(
-            mx64, name="MX-64-2", number=311, protocol=2, shutdown=PROTOCOL_2_HARDWARE_ERRORS,
-            registers=_protocol_2(311, current=3.36e-3, volts=(95, 160), p_gain=850),
+        _servo("MX-64", 310, 1, _protocol_1(310, *twelve_bit, speed, gains=True, current=True), mx64),
+        _servo("MX-106", 320, 1, _protocol_1(320, *twelve_bit, speed, gains=True, current=True), mx106),
+        _servo("MX-64-2", 311, 2, _protocol_2(311, current=3.36e-3, volts=mx_volts, p_gain=850), mx64),
+        _servo("MX-106-2", 321, 2, _protocol_2(321, current=3.36e-3, volts=mx_volts, p_gain=850), mx106),
+        _servo(
+            "XL330-M077",
+            1190,
+            2,
+            _protocol_2(1190, current=1e-3, volts=xl330_volts, p_gain=400),
+            (0.215, 0.146, 5.0, 383.0),
         ),
-        replace(
-            mx106, name="MX-106-2", number=321, protocol=2, shutdown=PROTOCOL_2_HARDWARE_ERRORS,
-            registers=_protocol_2(321, current=3.36e-3, volts=(95, 160), p_gain=850),
+        _servo(
+            "XL330-M288",
+            1200,
+            2,
+            _protocol_2(1200, current=1e-3, volts=xl330_volts, p_gain=400),
+            (0.52, 0.354, 5.0, 103.0),
         ),
-        ServoModel(
-            "XL330-M077", 1190, registers=_protocol_2(1190, current=1e-3, volts=(35, 70), p_gain=400),
-            stall_torque=0.215, torque_constant=0.146, voltage=5.0, no_load_speed=383 * RPM, **two,
+        _servo(
+            "XL430-W250",
+            1060,
+            2,
+            _protocol_2(1060, current=None, volts=(65, 120), p_gain=800),
+            (1.4, 0.0, 11.1, 57.0),
         ),
-        ServoModel(
-            "XL330-M288", 1200, registers=_protocol_2(1200, current=1e-3, volts=(35, 70), p_gain=400),
-            stall_torque=0.52, torque_constant=0.354, voltage=5.0, no_load_speed=103 * RPM, **two,
-        ),
-        ServoModel(
-            "XL430-W250", 1060, registers=_protocol_2(1060, current=None, volts=(65, 120), p_gain=800),
-            stall_torque=1.4, torque_constant=0.0, voltage=11.1, no_load_speed=57 * RPM, **two,
-        ),
-    )  # fmt: skip
+    )
     return {model.name: model for model in models}
 
 

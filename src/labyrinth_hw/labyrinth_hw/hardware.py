@@ -63,7 +63,9 @@ def load_hardware(name: str | Path) -> HardwareConfig:
     compensations: dict[str, Compensation] = {}
     for build in (
         lambda: motors.extend(motors_from(content.get("motors") or {})),
-        lambda: compensations.update({k: compensation_from(k, v) for k, v in (content.get("compensation") or {}).items()}),
+        lambda: compensations.update(
+            {k: compensation_from(k, v) for k, v in (content.get("compensation") or {}).items()}
+        ),
     ):
         try:
             build()
@@ -78,7 +80,10 @@ def load_hardware(name: str | Path) -> HardwareConfig:
                 angle=radians(float(entry.get("angle_deg", 6.0))),
                 speed=radians(float(entry.get("speed_deg_s", 400.0))),
                 temperature=float(entry.get("temperature_c", 70.0)),
-                voltage=(float(entry.get("min_voltage", low.to_si(low.initial))), float(entry.get("max_voltage", high.to_si(high.initial)))),
+                voltage=(
+                    float(entry.get("min_voltage", low.to_si(low.initial))),
+                    float(entry.get("max_voltage", high.to_si(high.initial))),
+                ),
             )
         for joint, entry in (content.get("potentiometers") or {}).items():
             pots[joint] = Potentiometer(float(entry["zero"]), float(entry["rad_per_count"]), int(entry.get("sign", 1)))
@@ -111,7 +116,11 @@ def device(path: str) -> str:
     if "/" in path:
         return path
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "labyrinth_testbed" if runtime else Path(tempfile.gettempdir()) / f"labyrinth_testbed_{os.getuid()}"
+    folder = (
+        Path(runtime) / "labyrinth_testbed"
+        if runtime
+        else Path(tempfile.gettempdir()) / f"labyrinth_testbed_{os.getuid()}"
+    )
     return str(folder / path)
 
 
@@ -187,7 +196,9 @@ class Hardware:
         stamp = sum(m.stamp for m in motors.values()) / len(motors)
         return Measurement(stamp, motors, self._collect_sensors(), sent)
 
-    def _obey(self, torque: bool, goals: Mapping[str, float] | None, motors: Mapping[str, MotorState]) -> Mapping[str, float] | None:
+    def _obey(
+        self, torque: bool, goals: Mapping[str, float] | None, motors: Mapping[str, MotorState]
+    ) -> Mapping[str, float] | None:
         if self.dry_run:
             return None
         if torque and not self._torque:
@@ -203,7 +214,7 @@ class Hardware:
         return sent
 
     def reset(self) -> str:
-        """Clear alarms and the stop. Returns what was cleared. Raises HardwareError where the servos do not play along."""
+        """Clear alarms and the stop; returns what was cleared. Raises HardwareError where a servo does not confirm."""
         reasons = "; ".join(self.safety.reasons) or "nothing to reset"
         for motor in self.settings.motors:
             if motor.model.protocol == 2 and self.bus.read(motor.name, "hardware_error"):

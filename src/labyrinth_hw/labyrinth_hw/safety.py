@@ -16,6 +16,7 @@ from labyrinth_hw.errors import InputError
 from labyrinth_hw.servo_bus import MotorState
 
 SPEEDING_SAMPLES = 3
+VOLTAGE_SAMPLES = 5  # a dip while the motors start is no fault
 
 
 class State(Enum):
@@ -80,12 +81,20 @@ class Safety:
     reasons: tuple[str, ...] = ()
     rejected: int = 0
     _goals: dict[str, float] | None = None
-    _speeding: dict[str, int] = field(default_factory=dict)
+    _bad: dict[str, int] = field(default_factory=dict)
 
     def check(self, goals: Mapping[str, float]) -> None:
         """Whether goals are valid. Raises InputError that says what is wrong with them."""
-        complaints = [f"Motor '{name}' is not on this rig; its motors: {sorted(self.limits)}." for name in goals if name not in self.limits]
-        complaints += [f"Goal of {name} must be a finite angle in rad, got {goal}." for name, goal in goals.items() if not math.isfinite(goal)]
+        complaints = [
+            f"Motor '{name}' is not on this rig; its motors: {sorted(self.limits)}."
+            for name in goals
+            if name not in self.limits
+        ]
+        complaints += [
+            f"Goal of {name} must be a finite angle in rad, got {goal}."
+            for name, goal in goals.items()
+            if not math.isfinite(goal)
+        ]
         if not goals:
             complaints.append(f"The command names no motor; expected some of {sorted(self.limits)}.")
         if complaints:
@@ -109,13 +118,17 @@ class Safety:
         fresh = command is not None and 0 <= now - command.received <= self.timeout
         if command is not None and fresh:
             self.state = State.ACTIVE
-            self._goals = {n: max(-self.limits[n].angle, min(self.limits[n].angle, g)) for n, g in command.goals.items()}
+            self._goals = {
+                n: max(-self.limits[n].angle, min(self.limits[n].angle, g)) for n, g in command.goals.items()
+            }
             clipped = tuple(n for n, g in command.goals.items() if g != self._goals[n])
             return Order(True, self._goals, clipped)
         if self.state is State.ACTIVE:
             # Where the motors are now, not where they were told to go: motion ends here.
             self.state = State.HOLDING
-            self._goals = {n: max(-self.limits[n].angle, min(self.limits[n].angle, m.position)) for n, m in measured.items()}
+            self._goals = {
+                n: max(-self.limits[n].angle, min(self.limits[n].angle, m.position)) for n, m in measured.items()
+            }
         return Order(self.state is State.HOLDING, self._goals)
 
     def stop(self, reason: str) -> None:
@@ -131,23 +144,31 @@ class Safety:
     def reset(self) -> None:
         """Forget the stop; the next valid command moves again."""
         self.state, self.reasons, self._goals = State.WAITING, (), None
-        self._speeding.clear()
+        self._bad.clear()
 
     def _violations(self, measured: Mapping[str, MotorState]) -> list[str]:
         found = []
         for name, m in measured.items():
-            limit = self.limits[name]
+            limit, degrees = self.limits[name], math.degrees
             for bit, text in self.meanings.get(name, {}).items():
                 if m.alarm & bit:
                     found.append(f"{name}: the servo reports {text} (bit {bit:#04x})")
             if abs(m.position) > limit.angle + limit.overshoot and self.state in (State.ACTIVE, State.HOLDING):
-                found.append(f"{name}: angle {math.degrees(m.position):.1f} deg passed its limit of {math.degrees(limit.angle):.1f} deg")
-            if m.speed is not None:
-                self._speeding[name] = self._speeding.get(name, 0) + 1 if abs(m.speed) > limit.speed else 0
-                if self._speeding[name] >= SPEEDING_SAMPLES:
-                    found.append(f"{name}: speed {math.degrees(m.speed):.0f} deg/s passed its limit of {math.degrees(limit.speed):.0f} deg/s")
+                found.append(
+                    f"{name}: {degrees(m.position):.1f} deg passed the limit of {degrees(limit.angle):.1f} deg"
+                )
+            if m.speed is not None and self._lasts(f"{name} speed", abs(m.speed) > limit.speed, SPEEDING_SAMPLES):
+                found.append(
+                    f"{name}: {degrees(m.speed):.0f} deg/s passed the limit of {degrees(limit.speed):.0f} deg/s"
+                )
             if m.temperature is not None and m.temperature > limit.temperature:
-                found.append(f"{name}: {m.temperature:.0f} degC passed its limit of {limit.temperature:.0f} degC")
-            if m.voltage is not None and not limit.voltage[0] <= m.voltage <= limit.voltage[1]:
-                found.append(f"{name}: {m.voltage:.1f} V is outside {limit.voltage[0]:g} to {limit.voltage[1]:g} V")
+                found.append(f"{name}: {m.temperature:.0f} degC passed the limit of {limit.temperature:.0f} degC")
+            low, high = limit.voltage
+            if m.voltage is not None and self._lasts(f"{name} volts", not low <= m.voltage <= high, VOLTAGE_SAMPLES):
+                found.append(f"{name}: {m.voltage:.1f} V is outside {low:g} to {high:g} V")
         return found
+
+    def _lasts(self, what: str, bad: bool, samples: int) -> bool:
+        """Whether something has been bad for so many samples in a row."""
+        self._bad[what] = self._bad.get(what, 0) + 1 if bad else 0
+        return self._bad[what] >= samples

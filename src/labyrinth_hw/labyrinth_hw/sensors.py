@@ -69,7 +69,7 @@ class SensorLine:
         self.close()
         raise SensorError(
             f"No valid answer on {self.path} at {self.baud} baud. Expected a line like "
-            f"{sensor_protocol.sentence('S,0,0,0,0,0,0').decode().strip()} to each request; check baud rate and firmware."
+            f"{sensor_protocol.sentence('S,0,0,0,0,0,0').decode().strip()} to each request; check baud and firmware."
         )
 
     def close(self) -> None:

@@ -117,7 +117,9 @@ class ServoBus:
         missing = [m for m in self.motors.values() if m.id not in found]
         wrong = [m for m in self.motors.values() if m.id in found and found[m.id] != m.model.number]
         if missing or wrong:
-            expected = ", ".join(f"{m.name}: id {m.id}, {m.model.name} ({m.model.number})" for m in self.motors.values())
+            expected = ", ".join(
+                f"{m.name}: id {m.id}, {m.model.name} ({m.model.number})" for m in self.motors.values()
+            )
             told = ", ".join(f"id {i}: model number {n}" for i, n in sorted(found.items())) or "nothing"
             names = ", ".join(m.name for m in missing) or "none"
             others = ", ".join(m.name for m in wrong) or "none"
@@ -159,7 +161,11 @@ class ServoBus:
                 number = error & 0x7F if self.protocol == 2 else error & 0x5C
                 if number:
                     meaning = PROTOCOL_2_PACKET_ERRORS if self.protocol == 2 else motor.model.shutdown
-                    why = " and ".join(text for bit, text in meaning.items() if (number == bit or (self.protocol == 1 and number & bit)))
+                    why = " and ".join(
+                        text
+                        for bit, text in meaning.items()
+                        if (number == bit or (self.protocol == 1 and number & bit))
+                    )
                     raise BusError(f"{name} (id {motor.id}) refused to write {value:g} to {register}: {why or number}.")
                 return
             why = self._count(motor, result, attempt)
@@ -245,13 +251,17 @@ class ServoBus:
 
     def _read_all(self, what: tuple[str, ...], skip: str | None) -> dict[str, tuple[bytes, int, float]]:
         motors = [motor for name, motor in self.motors.items() if name != skip]
-        if len(motors) < 2 or not all(motor.model.bulk_read for motor in motors) or len({m.model.name for m in motors}) > 1:
+        if (
+            len(motors) < 2
+            or not all(motor.model.bulk_read for motor in motors)
+            or len({m.model.name for m in motors}) > 1
+        ):
             return {motor.name: self._read_block(motor, what) for motor in motors}
         start, length = block(motors[0].model, what)
         self.counters.sent += 1
         begun = time.monotonic()
         if self.protocol == 1:
-            # The SDK's group bulk read passes one argument too many for protocol 1, so its packet handler is asked directly.
+            # The SDK's group bulk read passes one argument too many for protocol 1; the packet handler is asked.
             request = [byte for motor in motors for byte in (length, motor.id, start)]
             result = self._guarded(self.packets.bulkReadTx, request, len(request))
         else:

@@ -14,7 +14,6 @@ from typing import Any
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from labyrinth_msgs.msg import BallEvent
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -27,6 +26,7 @@ from std_srvs.srv import Trigger
 from labyrinth_hw.errors import HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement, load_hardware
 from labyrinth_hw.safety import Command, State
+from labyrinth_msgs.msg import BallEvent
 
 RELIABLE = QoSProfile(depth=50)
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -42,7 +42,9 @@ class HwNode(Node):
         rate = self._declare("rate", 100.0, "control periods per second [Hz]", 10.0, 500.0)
         timeout = self._declare("command_timeout", 0.2, "age at which a command is old and motion stops [s]", 0.02, 5.0)
         dry_run = self._declare("dry_run", False, "read everything but move nothing [-]")
-        position_error = self._declare("compensate_position_error", False, "correct goals by the calibrated error map [-]")
+        position_error = self._declare(
+            "compensate_position_error", False, "correct goals by the calibrated error map [-]"
+        )
         slack = self._declare("compensate_slack", False, "correct goals by the calibrated slack of the belt [-]")
         self._refuse_unknown_parameters()
         self._settings = load_hardware(str(config))
@@ -60,7 +62,10 @@ class HwNode(Node):
         self._piezo: int | None = None
         self._told = State.WAITING
         self._stop = threading.Event()
-        qos: dict[str, Any] = {"qos_profile": RELIABLE, "qos_overriding_options": QoSOverridingOptions.with_default_policies()}
+        qos: dict[str, Any] = {
+            "qos_profile": RELIABLE,
+            "qos_overriding_options": QoSOverridingOptions.with_default_policies(),
+        }
         self._states = self.create_publisher(JointState, f"{prefix}/joint_states", **qos)
         self._events = self.create_publisher(BallEvent, f"{prefix}/ball_event", **qos)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -73,7 +78,7 @@ class HwNode(Node):
         motors = ", ".join(f"{m.name} ({m.model.name}, id {m.id})" for m in self._settings.motors)
         bus = self.hardware.bus
         self.get_logger().info(
-            f"{motors} on {self._settings.servo_port}, {self._settings.baud} baud: one cycle takes {bus.cycle * 1e3:.1f} ms of bus "
+            f"{motors} on {self._settings.servo_port}, {self._settings.baud} baud: {bus.cycle * 1e3:.1f} ms of bus "
             f"time in a period of {self._period * 1e3:g} ms.{' Dry run: nothing will move.' if dry_run else ''}"
         )
         self._thread.start()
@@ -133,7 +138,9 @@ class HwNode(Node):
                     due = time.monotonic()
         except BaseException as error:
             if not self._stop.is_set():
-                self.get_logger().fatal(f"The control thread ended, torque goes off:\n{''.join(traceback.format_exception(error))}")
+                self.get_logger().fatal(
+                    f"The control thread ended, torque goes off:\n{''.join(traceback.format_exception(error))}"
+                )
                 rclpy.try_shutdown()
         finally:
             self.hardware.close()
@@ -161,7 +168,9 @@ class HwNode(Node):
             message.velocity.append(nan if motor.speed is None else motor.speed)
             message.effort.append(nan if motor.effort is None else motor.effort)
         board = measured.board
-        for name, angle in zip(self._settings.potentiometers, (board.x, board.y) if board else (nan, nan), strict=False):
+        for name, angle in zip(
+            self._settings.potentiometers, (board.x, board.y) if board else (nan, nan), strict=False
+        ):
             message.name.append(name)
             message.position.append(angle)
             message.velocity.append(nan)
@@ -210,13 +219,16 @@ class HwNode(Node):
         elif not hw.sensors_connected and hw.sensors is not None:
             level = DiagnosticStatus.WARN
         text = "; ".join(hw.safety.reasons) or hw.safety.state.value if hw.connected else f"disconnected: {hw.trouble}"
-        status = DiagnosticStatus(level=level, name=f"{self.get_name()}: servos", message=text, hardware_id=self._settings.servo_port)
+        status = DiagnosticStatus(
+            level=level, name=f"{self.get_name()}: servos", message=text, hardware_id=self._settings.servo_port
+        )
         values: dict[str, object] = {
             "state": hw.safety.state.name.lower(),
             "packets sent": counters.sent, "packets lost": counters.lost, "packets damaged": counters.corrupt,
             "retries": counters.retried, "failures": counters.failed, "reconnects": hw.reconnects,
             "bus time of a cycle [ms]": f"{hw.bus.cycle * 1e3:.2f}",
-            "cycles": self._pub["cycles"], "cycles late": self._pub["late"], "cycles without servos": self._pub["silent"],
+            "cycles": self._pub["cycles"], "cycles late": self._pub["late"],
+            "cycles without servos": self._pub["silent"],
             "commands refused": self._pub["refused"], "last trouble": hw.trouble,
         }  # fmt: skip
         for name, motor in hw.slow.items():
@@ -224,7 +236,11 @@ class HwNode(Node):
             values[f"{name} temperature [degC]"] = f"{motor.temperature:.0f}"
             values[f"{name} alarm"] = self._meaning(motor.alarm, hw.safety.meanings.get(name, {}))
         if hw.sensors is not None:
-            values |= {"sensor requests": hw.sensors.asked, "sensor answers lost": hw.sensors.lost, "sensor lines damaged": hw.sensors.damaged}
+            values |= {
+                "sensor requests": hw.sensors.asked,
+                "sensor answers lost": hw.sensors.lost,
+                "sensor lines damaged": hw.sensors.damaged,
+            }
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -21,9 +21,9 @@ from labyrinth_hw.testbed.parameters import Array
 EPOCH = 1_700_000_000  # s; a fixed date, so that the same seed writes the same messages
 LATENCY = 0.002  # s from a stamp to the recorder
 NAMES = ["motor_x", "motor_y"]
-JOINT_STATE, BALL_STATE, BALL_EVENT, TRIAL = (
-    "sensor_msgs/msg/JointState", "labyrinth_msgs/msg/BallState", "labyrinth_msgs/msg/BallEvent", "labyrinth_msgs/msg/Trial",
-)  # fmt: skip
+START, END, LOST = 0, 1, 0  # phases of Trial, kind of BallEvent
+JOINT_STATE, TRIAL = "sensor_msgs/msg/JointState", "labyrinth_msgs/msg/Trial"
+BALL_STATE, BALL_EVENT = "labyrinth_msgs/msg/BallState", "labyrinth_msgs/msg/BallEvent"
 
 
 def typestore() -> Typestore:
@@ -61,7 +61,9 @@ def read_commands(path: Path, rate: float = 100.0) -> tuple[Array, Array, str]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: expected the columns time, motor_x, motor_y with numbers (s, rad): {error}.") from error
+        raise InputError(
+            f"{path}: expected the columns time, motor_x, motor_y with numbers (s, rad): {error}."
+        ) from error
     if len(columns) < 2 or not np.isfinite(columns).all() or not (np.diff(columns[:, 0]) > 0).all():
         raise InputError(f"{path}: expected at least two rows of finite numbers with increasing time.")
     time = np.arange(round((columns[-1, 0] - columns[0, 0]) * rate) + 1) / rate
@@ -85,7 +87,9 @@ def write_bag(folder: Path, run: Run, sequence: str, sequence_hash: str, namespa
     if run.ball is not None:
         topics |= {"ball": BALL_STATE, "ball_event": BALL_EVENT}
     with writer:
-        connections = {t: writer.add_connection(f"{namespace}/{t}", kind, typestore=store) for t, kind in topics.items()}
+        connections = {
+            t: writer.add_connection(f"{namespace}/{t}", kind, typestore=store) for t, kind in topics.items()
+        }
         for stamp, topic, message in sorted(_messages(store, run, sequence, sequence_hash), key=lambda entry: entry[0]):
             data = store.serialize_cdr(message, topics[topic])
             writer.write(connections[topic], _nanoseconds(stamp + LATENCY), data)
@@ -102,26 +106,32 @@ def _messages(store: Typestore, run: Run, sequence: str, sequence_hash: str) -> 
     duration = float(2 * run.command_stamps[-1] - run.command_stamps[-2])
     for trial, stamps in enumerate(run.stamps):
         begin = 1.0 + trial * (duration + NEXT_TRIAL)
-        for phase, at in ((mark.START, begin), (mark.END, begin + duration)):
+        for phase, at in ((START, begin), (END, begin + duration)):
             yield at, "trial", mark(
                 header=_header(kinds, at), phase=phase, sequence=sequence, sequence_hash=sequence_hash, trial=trial,
                 duration=duration,
             )  # fmt: skip
         for at, command in zip(begin + run.command_stamps, run.commands, strict=True):
             none = np.array([])
-            yield at, "joint_commands", joint(
-                header=_header(kinds, at), name=NAMES, position=np.array(command), velocity=none, effort=none
+            yield (
+                at,
+                "joint_commands",
+                joint(header=_header(kinds, at), name=NAMES, position=np.array(command), velocity=none, effort=none),
             )
         fallen = False
         for k, stamp in enumerate(stamps):
             at = begin + stamp
             header = _header(kinds, at)
-            yield at, "joint_states", joint(
-                header=header,
-                name=[*NAMES, "board_x", "board_y"],
-                position=np.concatenate([run.motor[trial, k], run.board[trial, k]]),
-                velocity=np.concatenate([run.motor_speed[trial, k], [nan, nan]]),
-                effort=np.concatenate([run.effort[trial, k], [nan, nan]]),
+            yield (
+                at,
+                "joint_states",
+                joint(
+                    header=header,
+                    name=[*NAMES, "board_x", "board_y"],
+                    position=np.concatenate([run.motor[trial, k], run.board[trial, k]]),
+                    velocity=np.concatenate([run.motor_speed[trial, k], [nan, nan]]),
+                    effort=np.concatenate([run.effort[trial, k], [nan, nan]]),
+                ),
             )
             if run.ball is not None:
                 x, y = (float(v) for v in run.ball[trial, k])
@@ -130,7 +140,7 @@ def _messages(store: Typestore, run: Run, sequence: str, sequence_hash: str) -> 
                 yield at, "ball", ball(header=header, visible=seen, x=x if seen else 0.0, y=y if seen else 0.0)
                 if not seen and not fallen:
                     fallen = True
-                    yield at, "ball_event", event(header=header, kind=event.LOST, hole=int(run.hole[trial]))
+                    yield at, "ball_event", event(header=header, kind=LOST, hole=int(run.hole[trial]))
 
 
 def _header(kinds: Any, at: float, frame: str = "") -> Any:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ball on the board: rolling down the tilt, held by walls, lost in holes. For any number of runs at once.
 
-A ball that rolls without slipping on a tilted plane accelerates with 5/7 g sin(tilt). Positive `board_y` moves it to +x,
-positive `board_x` to -y. Walls are boxes; the ball is a disc that bounces off the nearest point of each.
+A ball that rolls without slipping on a tilted plane accelerates with 5/7 g sin(tilt). Positive `board_y` moves it to
++x, positive `board_x` to -y. Walls are boxes; the ball is a disc that bounces off the nearest point of each.
 """
 
 from types import SimpleNamespace

@@ -23,7 +23,9 @@ class Belt:
         self.loose = bool((q.mount_play > 0).any())
         self.crossed = bool((q.cross_axis != 0).any())
 
-    def torque(self, q: SimpleNamespace, servo: Array, servo_speed: Array, board: Array, speed: Array, dt: float) -> Array:
+    def torque(
+        self, q: SimpleNamespace, servo: Array, servo_speed: Array, board: Array, speed: Array, dt: float
+    ) -> Array:
         """Torque on the board, N m. Angles rad, speeds rad/s."""
         pull, rate = q.ratio * (servo + self.shift), q.ratio * servo_speed
         if self.crossed:

@@ -26,9 +26,17 @@ def parser() -> argparse.ArgumentParser:
         "physics of its own and whatever a YAML file says is wrong with it. Needs no ROS.",
         epilog=f"Faults, one a line on standard input. {FAULTS}",
     )
-    p.add_argument("--config", default="paper", help="name or path of a config/testbed/*.yaml (default: paper); see --list")
+    p.add_argument(
+        "--config", default="paper", help="name or path of a config/testbed/*.yaml (default: paper); see --list"
+    )
     p.add_argument("--list", action="store_true", help="list the known rigs and effects, and end")
-    p.add_argument("--effect", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]", help="hide one more effect, e.g. backlash.x=strong")
+    p.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME[.AXIS][=STRENGTH]",
+        help="hide one more effect, e.g. backlash.x=strong",
+    )
     p.add_argument("--seed", type=int, help="of the noise; without --effect and with --draw, of the hidden effect too")
     p.add_argument("--draw", action="store_true", help="hide an effect drawn at random by the seed")
     p.add_argument("--reveal", type=Path, metavar="FILE", help="write what is hidden to this JSON file")
@@ -127,5 +135,3 @@ def _without_ros(arguments: list[str]) -> list[str]:
     at = arguments.index("--ros-args")
     rest = arguments[at + 1 :]
     return arguments[:at] + (rest[rest.index("--") + 1 :] if "--" in rest else [])
-
-

@@ -43,38 +43,62 @@ EFFECTS: dict[str, HiddenEffect] = {
     "stribeck_friction": HiddenEffect(
         "Breaking away takes more than sliding.", {"static": (0.05, 0.15, 0.4), "stribeck_speed": (0.1, 0.1, 0.1)}
     ),
-    "load_friction": HiddenEffect("Friction grows with the torque that the gear carries.", {"load_friction": (0.1, 0.25, 0.42)}),
+    "load_friction": HiddenEffect(
+        "Friction grows with the torque that the gear carries.", {"load_friction": (0.1, 0.25, 0.42)}
+    ),
     "direction_friction": HiddenEffect(
-        "Friction acts in one direction only.", {"direction_friction": (1.0, 1.0, 1.0), "coulomb": (0.02, 0.07, 0.2)}, signed=True
+        "Friction acts in one direction only.",
+        {"direction_friction": (1.0, 1.0, 1.0), "coulomb": (0.02, 0.07, 0.2)},
+        signed=True,
     ),
     "gravity_load": HiddenEffect("The board is unbalanced.", {"gravity_moment": (0.03, 0.12, 0.35)}, signed=True),
     "return_spring": HiddenEffect("A spring pulls the board level.", {"return_spring": (0.8, 3.0, 8.0)}),
-    "cross_coupling": HiddenEffect("One board axis turns the other too.", {"cross_axis": (0.015, 0.05, 0.15)}, signed=True),
+    "cross_coupling": HiddenEffect(
+        "One board axis turns the other too.", {"cross_axis": (0.015, 0.05, 0.15)}, signed=True
+    ),
     "positioning_error": HiddenEffect(
         "The servo measures its own angle wrongly, by angle.", {"error_amplitude": (0.001, 0.004, 0.010)}
     ),
-    "gain_error": HiddenEffect("The angle reached is a multiple of the goal.", {"command_gain": (0.02, 0.06, 0.15)}, signed=True, factor=True),
-    "sensor_bias": HiddenEffect("A sensor is off by a constant.", {"encoder_bias": (0.0015, 0.006, 0.015)}, sensor=True, signed=True),
-    "sensor_gain": HiddenEffect("A sensor's scale is wrong.", {"encoder_gain": (0.02, 0.06, 0.15)}, sensor=True, signed=True, factor=True),
+    "gain_error": HiddenEffect(
+        "The angle reached is a multiple of the goal.", {"command_gain": (0.02, 0.06, 0.15)}, signed=True, factor=True
+    ),
+    "sensor_bias": HiddenEffect(
+        "A sensor is off by a constant.", {"encoder_bias": (0.0015, 0.006, 0.015)}, sensor=True, signed=True
+    ),
+    "sensor_gain": HiddenEffect(
+        "A sensor's scale is wrong.", {"encoder_gain": (0.02, 0.06, 0.15)}, sensor=True, signed=True, factor=True
+    ),
     "sensor_delay": HiddenEffect("A sensor's values are old.", {"encoder_delay": (0.004, 0.015, 0.040)}, sensor=True),
     "sensor_lag": HiddenEffect("A sensor is filtered.", {"encoder_lag": (0.005, 0.020, 0.050)}, sensor=True),
     "sensor_quantisation": HiddenEffect("A sensor is coarse.", {"encoder_tick": (0.004, 0.008, 0.016)}, sensor=True),
     "rolling_friction": HiddenEffect("The ball rolls stiffly.", {"rolling_friction": (0.006, 0.012, 0.03)}, ball=True),
     "restitution": HiddenEffect("Walls swallow the ball's speed.", {"restitution": (0.35, 0.2, 0.05)}, ball=True),
-    "board_not_level": HiddenEffect("The rig stands askew.", {"not_level": (0.003, 0.008, 0.02)}, ball=True, signed=True),
+    "board_not_level": HiddenEffect(
+        "The rig stands askew.", {"not_level": (0.003, 0.008, 0.02)}, ball=True, signed=True
+    ),
     "camera_latency": HiddenEffect("The ball's position is old.", {"camera_latency": (0.02, 0.05, 0.12)}, ball=True),
-    "camera_scale": HiddenEffect("The camera's scale is wrong.", {"camera_scale": (0.02, 0.05, 0.1)}, ball=True, signed=True, factor=True),
+    "camera_scale": HiddenEffect(
+        "The camera's scale is wrong.", {"camera_scale": (0.02, 0.05, 0.1)}, ball=True, signed=True, factor=True
+    ),
     # Outside the library: a diagnosis should say "unknown".
     "cogging": HiddenEffect("The motor's magnets hold it at some angles.", {"cogging": (0.08, 0.2, 0.45)}, known=False),
     "thermal_drift": HiddenEffect(
         "Warming changes friction and the angle measured, over the whole session.",
-        {"thermal_warmup": (10.0, 20.0, 30.0), "thermal_bias": (2e-4, 5e-4, 1e-3), "thermal_friction": (0.01, 0.02, 0.025)},
+        {
+            "thermal_warmup": (10.0, 20.0, 30.0),
+            "thermal_bias": (2e-4, 5e-4, 1e-3),
+            "thermal_friction": (0.01, 0.02, 0.025),
+        },
         known=False,
     ),
     "lugre_presliding": HiddenEffect(
         "Friction yields like a spring before it slides.",
-        {"bristle": (15.0, 12.0, 10.0), "bristle_damping": (0.05, 0.05, 0.05), "coulomb": (0.15, 0.3, 0.6),
-         "static": (0.05, 0.1, 0.2)},
+        {
+            "bristle": (15.0, 12.0, 10.0),
+            "bristle_damping": (0.05, 0.05, 0.05),
+            "coulomb": (0.15, 0.3, 0.6),
+            "static": (0.05, 0.1, 0.2),
+        },
         known=False,
     ),
     "loose_mount": HiddenEffect(
@@ -87,7 +111,7 @@ EFFECTS: dict[str, HiddenEffect] = {
         {"command_jitter": (0.012, 0.025, 0.050), "command_loss": (0.1, 0.2, 0.35)},
         known=False,
     ),
-}  # fmt: skip
+}
 
 # Other words for the same, as people say them.
 ALIASES = {

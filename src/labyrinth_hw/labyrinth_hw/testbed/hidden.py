@@ -80,7 +80,9 @@ class TestbedConfig:
         }  # fmt: skip
 
 
-def hide(effect: str, axis: str = "x", strength: str = "strong", values: Mapping[str, float] | None = None, sign: int = 1) -> Hidden:
+def hide(
+    effect: str, axis: str = "x", strength: str = "strong", values: Mapping[str, float] | None = None, sign: int = 1
+) -> Hidden:
     """Something wrong, by name and strength, or with its own values.
 
     Raises:
@@ -146,7 +148,9 @@ def load_testbed(name: str | Path, effects: Sequence[str] = (), draw_seed: int |
     return build(content, str(name), effects, draw_seed)
 
 
-def build(content: Mapping[str, Any], name: str, effects: Sequence[str] = (), draw_seed: int | None = None) -> TestbedConfig:
+def build(
+    content: Mapping[str, Any], name: str, effects: Sequence[str] = (), draw_seed: int | None = None
+) -> TestbedConfig:
     """An emulated rig from the content of its file."""
     complaints = [unknown_name(f"key in {name}", key, KEYS) for key in content if key not in KEYS]
     hidden: list[Hidden] = []
@@ -162,8 +166,14 @@ def build(content: Mapping[str, Any], name: str, effects: Sequence[str] = (), dr
         complaints += error.complaints
     for entry in content.get("hidden") or ():
         try:
-            if not isinstance(entry, Mapping) or set(entry) - {"effect", "axis", "strength", "values"} or "effect" not in entry:
-                raise InputError(f"hidden: expected {{effect: NAME, axis: x, strength: strong}} or values:, got {entry!r}.")
+            if (
+                not isinstance(entry, Mapping)
+                or set(entry) - {"effect", "axis", "strength", "values"}
+                or "effect" not in entry
+            ):
+                raise InputError(
+                    f"hidden: expected {{effect: NAME, axis: x, strength: strong}} or values:, got {entry!r}."
+                )
             hidden.append(hide(**{"axis": "x", **entry}))
         except InputError as error:
             complaints += error.complaints

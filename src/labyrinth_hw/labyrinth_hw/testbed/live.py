@@ -19,7 +19,11 @@ TICK = 0.002  # s between looks at the physics while nothing else happens
 def default_link_dir() -> Path:
     """Folder of the links: under the user's runtime folder where there is one."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(runtime) / "labyrinth_testbed" if runtime else Path(tempfile.gettempdir()) / f"labyrinth_testbed_{os.getuid()}"
+    return (
+        Path(runtime) / "labyrinth_testbed"
+        if runtime
+        else Path(tempfile.gettempdir()) / f"labyrinth_testbed_{os.getuid()}"
+    )
 
 
 class LiveTestbed:

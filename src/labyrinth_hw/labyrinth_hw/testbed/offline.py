@@ -46,7 +46,13 @@ class Run:
 
 
 def run_offline(
-    config: TestbedConfig, time: Array, commands: Array, trials: int, seed: int, layout: Layout | None = None, lead: float = 1.0
+    config: TestbedConfig,
+    time: Array,
+    commands: Array,
+    trials: int,
+    seed: int,
+    layout: Layout | None = None,
+    lead: float = 1.0,
 ) -> Run:
     """Play commands on one rig. See `run_many`."""
     return run_many([config], time, commands, trials, [seed], layout, lead)[0]
@@ -120,14 +126,18 @@ def run_many(
 def _check(configs: Sequence[TestbedConfig], time: Array, commands: Array, trials: int, seeds: Sequence[int]) -> int:
     complaints = []
     if len(configs) < 1 or trials < 1 or len(seeds) != len(configs):
-        complaints.append(f"Expected at least one rig, one trial, and a seed for each rig; got {len(configs)}, {trials}, {len(seeds)}.")
+        complaints.append(
+            f"Expected at least one rig, one trial and a seed for each rig, got {len(configs)}, {trials}, {len(seeds)}."
+        )
     if time.ndim != 1 or len(time) < 2 or commands.shape != (len(time), 2):
         complaints.append(f"Expected time (T,) with T >= 2 and commands (T, 2), got {time.shape} and {commands.shape}.")
     elif not np.isfinite(commands).all():
         complaints.append("Commands must be finite angles in rad.")
     every = round(float(np.diff(time).mean()) / PERIOD) if time.ndim == 1 and len(time) > 1 else 1
     if not complaints and (every < 1 or not np.allclose(np.diff(time), every * PERIOD, atol=1e-6)):
-        complaints.append(f"Time must go in even steps of whole milliseconds, got {np.diff(time).min():g} to {np.diff(time).max():g} s.")
+        complaints.append(
+            f"Time must go in even steps of whole milliseconds, got {np.ptp(np.diff(time)):g} s of unevenness."
+        )
     if complaints:
         raise InputError(complaints)
     return every

@@ -93,7 +93,9 @@ class Plant:
         q = self.q
         beyond = q.ratio * self.servo - self.board
         beyond = beyond - np.clip(beyond, -self.belt.slack, self.belt.slack)
-        parts = q.rotor_inertia * self.servo_speed**2 + q.board_inertia * self.board_speed**2 + q.belt_stiffness * beyond**2
+        parts = (
+            q.rotor_inertia * self.servo_speed**2 + q.board_inertia * self.board_speed**2 + q.belt_stiffness * beyond**2
+        )
         return np.asarray(0.5 * parts.sum(axis=1))
 
     def _measured(self) -> Array:
@@ -106,7 +108,9 @@ class Plant:
 
     def _control(self) -> None:
         self._goals.push(self._goal)
-        self.firmware.update(self.q, self._goals.held(self.delay), self._measured(), self.servo_speed, self.motor.supply)
+        self.firmware.update(
+            self.q, self._goals.held(self.delay), self._measured(), self.servo_speed, self.motor.supply
+        )
         self.firmware.duty = np.where(self.torque_on, self.firmware.duty, 0.0)
 
     def _move(self) -> None:
@@ -139,7 +143,9 @@ class Plant:
         # Drift by warming is the encoder's own; the local error is not, for the reported angle has a sensor of its own.
         encoder, pot = self.servo + self.q.error_reported * self._error() + self._drift, self.board
         if self._lags:
-            self._encoder_filter += (encoder - self._encoder_filter) * -np.expm1(-PERIOD / np.maximum(q.encoder_lag, 1e-9))
+            self._encoder_filter += (encoder - self._encoder_filter) * -np.expm1(
+                -PERIOD / np.maximum(q.encoder_lag, 1e-9)
+            )
             self._pot_filter += (pot - self._pot_filter) * -np.expm1(-PERIOD / np.maximum(q.pot_lag, 1e-9))
             encoder, pot = self._encoder_filter, self._pot_filter
         self._encoder.push(encoder)

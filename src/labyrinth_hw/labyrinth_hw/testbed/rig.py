@@ -14,6 +14,7 @@ POT_ZERO = 32768
 POT_SCALE = 2.0e-5  # rad per count
 LONGEST_GAP = 0.05  # s of physics made up for at once
 OVERLOAD_SHARE, OVERLOAD_TIME = 0.95, 1.0  # of the largest current, s
+BROWNOUT_TIME = 0.3  # s
 
 
 class LiveRig:
@@ -34,7 +35,7 @@ class LiveRig:
         self.skipped = 0.0
         self.piezo = self.depot = self._sequence = 0
         self._start, self._goals = now, [servo.raw("goal_position") for servo in self.servos]
-        self._overload = np.zeros(2)
+        self._overload, self._brownout = np.zeros(2), np.zeros(2)
         self._noise_due = 0.0
 
     def catch_up(self, now: float) -> None:
@@ -70,7 +71,9 @@ class LiveRig:
             bits = 0x20 if self._overload[a] > OVERLOAD_TIME else 0
             bits |= 0x04 if self.plant.motor.temperature[0, a] > servo.get("temperature_limit") else 0
             volts = self.plant.motor.supply[0, a]
-            bits |= 0x01 if not servo.get("min_voltage") <= volts <= servo.get("max_voltage") else 0
+            outside = not servo.get("min_voltage") <= volts <= servo.get("max_voltage")
+            self._brownout[a] = self._brownout[a] + dt if outside else 0.0
+            bits |= 0x01 if self._brownout[a] > BROWNOUT_TIME else 0
             if bits & ~servo.alarm:
                 servo.raise_alarm(bits)
 
@@ -102,5 +105,10 @@ class LiveRig:
         micros = int(self.plant.time * 1e6) % 2**32
         limit = 65535
         return SensorSample(
-            self._sequence, micros, int(np.clip(x, 0, limit)), int(np.clip(y, 0, limit)), self.piezo % 65536, self.depot % 65536
+            self._sequence,
+            micros,
+            int(np.clip(x, 0, limit)),
+            int(np.clip(y, 0, limit)),
+            self.piezo % 65536,
+            self.depot % 65536,
         )

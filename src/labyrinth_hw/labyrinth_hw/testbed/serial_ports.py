@@ -82,7 +82,9 @@ class Line:
         seed: of the noise.
     """
 
-    def __init__(self, port: PseudoSerial, baud: int, answer: Callable[[bytes], list[tuple[bytes, float]]], seed: int) -> None:
+    def __init__(
+        self, port: PseudoSerial, baud: int, answer: Callable[[bytes], list[tuple[bytes, float]]], seed: int
+    ) -> None:
         self.port, self.byte_time, self.answer = port, 10.0 / baud, answer
         self.rng = np.random.default_rng(seed)
         self.bad_share = 0.0

@@ -155,7 +155,9 @@ class EmulatedBus:
             for servo in self.servos:
                 if instruction.id in (servo.id, BROADCAST):
                     answer = self._single(servo, code, parameters)
-                    if answer is not None and (instruction.id != BROADCAST or (code == packets.PING and self.protocol == 2)):
+                    if answer is not None and (
+                        instruction.id != BROADCAST or (code == packets.PING and self.protocol == 2)
+                    ):
                         yield answer
 
     def _single(self, servo: EmulatedServo, code: int, parameters: bytes) -> Answer | None:
@@ -166,7 +168,9 @@ class EmulatedBus:
             return servo.status(0, model if self.protocol == 2 else b"")
         if code == packets.READ:
             size = int.from_bytes(parameters[wide:], "little")
-            return servo.status(0, servo.read(int.from_bytes(parameters[:wide], "little"), size)) if level >= 1 else None
+            return (
+                servo.status(0, servo.read(int.from_bytes(parameters[:wide], "little"), size)) if level >= 1 else None
+            )
         if code in (packets.WRITE, packets.REG_WRITE):
             address, data = int.from_bytes(parameters[:wide], "little"), parameters[wide:]
             if code == packets.REG_WRITE:
