@@ -21,6 +21,8 @@ MEANING = {
     "no command": "none was sent yet, or the drive was off",
 }
 
+MOVING = ("rise", "reversal")
+
 
 @dataclass(frozen=True)
 class Phases:

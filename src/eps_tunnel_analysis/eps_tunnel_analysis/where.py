@@ -2,13 +2,13 @@
 """Where a model fails: how its misfit spreads over phases of the command, directions, amplitudes, axes and trials."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.phases import Phases, channel_of, mean_command, phases
+from eps_tunnel_analysis.phases import MOVING, Phases, channel_of, mean_command, phases
 from eps_tunnel_analysis.shown import shown_value
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.trials import Array, Trials
@@ -24,7 +24,8 @@ class Misfit:
 
     Attributes:
         signal, unit: what it is.
-        kind: how the samples were grouped: "phase", "direction", "phase and direction", "amplitude", "axis", "trial".
+        kind: how the samples were grouped: "phase", "direction", "phase and direction", "amplitude", "other axes",
+            "axis", "trial".
         group: which group.
         time_share: share of the signal's seen samples in this group.
         error_share: share of the signal's summed squared error in this group; for kind "axis" the share among all
@@ -56,14 +57,15 @@ def where(real: Trials, sim: Trials) -> tuple[Misfit, ...]:
     """
     measured, simulated = build_tunnel(real).mean, build_tunnel(sim).mean
     command = mean_command(real)
+    labels = {name: phases(real.time, command[:, u]) for u, name in enumerate(real.command_channels)}
     rows: list[Misfit] = []
     for i, signal in enumerate(real.signals):
         error = simulated[:, i] - measured[:, i]
         channel = channel_of(signal, real.command_channels)
         groups: list[tuple[str, NDArray[np.str_]]] = []
         if channel is not None:
-            label = phases(real.time, command[:, real.command_channels.index(channel)])
-            groups = list(_groupings(label))
+            groups = list(_groupings(labels[channel]))
+            groups += [("other axes", _others(labels, channel))] if len(labels) > 1 else []
         for kind, names in groups:
             rows += _worst_first(_misfits(signal, real.units[i], kind, names, error))
         rows += _worst_first(_trial_misfits(real, i, simulated[:, i]))
@@ -111,6 +113,12 @@ def _groupings(label: Phases) -> Iterator[tuple[str, NDArray[np.str_]]]:
     yield "direction", label.direction
     yield "phase and direction", both
     yield "amplitude", _amplitude_names(label.amplitude)
+
+
+def _others(labels: Mapping[str, Phases], channel: str) -> NDArray[np.str_]:
+    """Whether another channel's command is on its way: errors that come and go with it are coupling."""
+    moving = np.any([np.isin(label.phase, MOVING) for name, label in labels.items() if name != channel], axis=0)
+    return np.where(moving, "another moves", "all others stand still")
 
 
 def _amplitude_names(amplitude: Array) -> NDArray[np.str_]:

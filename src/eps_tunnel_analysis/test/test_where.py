@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a model fails: phases of the command, and how the misfit spreads over them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from tunnel_cases import make_trials, pairs
 
-from eps_tunnel_analysis.phases import MEANING, channel_of, phases
+from eps_tunnel_analysis.phases import MEANING, MOVING, channel_of, phases
 from eps_tunnel_analysis.where import sentences, where
 
 STEP = 0.01
@@ -117,3 +119,17 @@ def test_an_even_offset_is_told_as_such():
         "a: the error is spread evenly over the phases of the command; the simulation is 5.73 deg below the real mean "
         "on average (RMS 5.73 deg).",
     )
+
+
+def test_an_error_that_comes_with_the_other_axis_is_told_as_such():
+    still, moving = np.zeros(500), step_command()[:500]
+    commands = np.stack([still, moving], axis=1)[None]
+    channels = ("motor_x", "motor_y")
+    error = np.isin(phases(TIME[:500], moving).phase, MOVING) * 0.01
+    sim = make_trials(error[None, :, None], commands=commands, channels=channels)
+    real = make_trials(np.zeros((1, 500, 1)), commands=commands, channels=channels)
+    rows = where(*(replace(trials, signals=("board_x",)) for trials in (real, sim)))
+    worst = next(m for m in rows if m.kind == "other axes")
+    assert worst.group == "another moves"
+    assert worst.error_share == pytest.approx(1)
+    assert worst.time_share < 0.5

@@ -63,24 +63,26 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code."""
-    arguments = parser().parse_args(argv)
+    name = "eps-tunnel"
     try:
+        arguments = parser().parse_args(argv)
+        name = f"{name} {arguments.command}"
         code = arguments.run(arguments)
         sys.stdout.flush()
         return int(code or DONE)
     except InputError as error:
         for complaint in error.complaints:
-            print(f"eps-tunnel {arguments.command}: {complaint}", file=sys.stderr)
+            print(f"{name}: {complaint}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print(f"eps-tunnel {arguments.command}: interrupted.", file=sys.stderr)
+        print(f"{name}: interrupted.", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # keeps Python's own flush at exit quiet
         return PIPE_CLOSED
     except OSError as error:
-        name = f"{error.filename}: " if error.filename else ""
-        print(f"eps-tunnel {arguments.command}: {name}{error.strerror or error}", file=sys.stderr)
+        file = f"{error.filename}: " if error.filename else ""
+        print(f"{name}: {file}{error.strerror or error}", file=sys.stderr)
         return BAD_INPUT
 
 

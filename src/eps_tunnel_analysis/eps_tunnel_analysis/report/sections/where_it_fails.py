@@ -8,7 +8,7 @@ from eps_tunnel_analysis.shown import shown_value
 from eps_tunnel_analysis.where import Misfit
 
 LONGEST = 10  # spans listed
-OTHERS = ("phase", "direction", "amplitude", "trial")
+OTHERS = ("phase", "direction", "amplitude", "other axes", "trial")
 
 
 def where_it_fails(comparison: Comparison) -> Section:
