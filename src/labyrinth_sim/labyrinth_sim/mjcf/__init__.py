@@ -10,8 +10,13 @@ floor.py       a floor with round holes out of boxes
 labyrinth.py   geometry -> MJCF
 picture.py     MJCF -> a rendered picture
 
-Names in the model: joints `motor_x`, `motor_y` (servos), `board_x` (outer frame, about x), `board_y` (inner board, about
-y) and `ball` (free); actuators `motor_x`, `motor_y` (torque, N m); tendons `belt_x`, `belt_y`; sites `board_origin` and
-`hole_1` ...; sensors named as the signals (`motor_x`, `motor_x_velocity`, `motor_x_effort`, `board_x`, ...) and `ball`
-(x, y, z of the ball's centre in the board frame, m). `labyrinth_plain` has the same inertia without walls, holes and ball.
+Names in the model:
+    joints      motor_x, motor_y (servos), board_x (outer frame, about x), board_y (inner board, about y), ball (free)
+    actuators   motor_x, motor_y: torque, N m
+    tendons     belt_x, belt_y: ratio * motor - board, a spring
+    sites       board_origin (lower left corner, on the floor), hole_1, hole_2, ...
+    sensors     the four hinges by name (rad), with _velocity (rad/s), the two motors with _effort (N m),
+                ball (x, y, z of its centre in the board frame, m)
+
+`labyrinth_plain` has the same inertia without walls, holes and ball.
 """

@@ -2,8 +2,9 @@
 """MJCF of the labyrinth, made from its geometry.
 
 World: x to the right, y away from the player, z up, the gimbal's centre at height PIVOT_HEIGHT. The outer frame turns
-about x (`board_x`), the inner board in it about y (`board_y`). Positive `board_y` makes the ball roll towards +x, positive
-`board_x` towards -y. Servo and board are joined by the tendons `belt_x`, `belt_y`: springs on ratio * motor - board.
+about x (`board_x`), the inner board in it about y (`board_y`). Positive `board_y` makes the ball roll towards +x,
+positive `board_x` towards -y. Servo and board are joined by the tendons `belt_x`, `belt_y`: springs on
+ratio * motor - board.
 """
 
 import xml.etree.ElementTree as ET
@@ -68,7 +69,7 @@ def labyrinth_xml(layout: Layout, plain: bool = False) -> str:
 
 def _looks(root: ET.Element) -> ET.Element:
     visual = ET.SubElement(root, "visual")
-    ET.SubElement(visual, "headlight", ambient="0.25 0.25 0.25", diffuse="0.25 0.25 0.25", specular="0.1 0.1 0.1")
+    ET.SubElement(visual, "headlight", ambient="0.32 0.32 0.32", diffuse="0.20 0.20 0.20", specular="0.1 0.1 0.1")
     ET.SubElement(visual, "quality", shadowsize="4096", offsamples="8")
     ET.SubElement(visual, "global", offwidth="1920", offheight="1280")
     ET.SubElement(visual, "map", znear="0.02", zfar="20")
@@ -79,10 +80,10 @@ def _looks(root: ET.Element) -> ET.Element:
     sky = {"type": "skybox", "builtin": "gradient", "rgb1": "0.93 0.95 0.98", "rgb2": "0.70 0.76 0.84"}
     ET.SubElement(asset, "texture", sky, width="256", height="256")
     for name, rgba, specular, shininess in (
-        ("table", "0.46 0.50 0.55 1", "0.1", "0.1"),
+        ("table", "0.36 0.41 0.46 1", "0.1", "0.1"),
         ("case", "0.55 0.33 0.18 1", "0.3", "0.4"),
         ("frame", "0.66 0.43 0.25 1", "0.3", "0.4"),
-        ("floor", "0.93 0.84 0.66 1", "0.2", "0.2"),
+        ("floor", "0.90 0.80 0.62 1", "0.2", "0.2"),
         ("wall", "0.72 0.47 0.26 1", "0.3", "0.4"),
         ("steel", "0.80 0.82 0.85 1", "1", "0.9"),
         ("servo", "0.13 0.14 0.16 1", "0.5", "0.5"),
@@ -92,11 +93,14 @@ def _looks(root: ET.Element) -> ET.Element:
 
 
 def _surroundings(world: ET.Element, layout: Layout) -> None:
-    lights = (("-0.35 -0.35 1.1", "0.35 0.4 -1", "0.65", "true"), ("0.6 0.1 0.9", "-0.6 -0.1 -0.9", "0.25", "false"))
+    lights = (
+        ("-0.45 -0.25 1.0", "0.45 0.25 -0.95", "0.6", "true"),
+        ("0.6 0.1 0.9", "-0.6 -0.1 -0.9", "0.18", "false"),
+    )
     for pos, direction, diffuse, shadow in lights:
         spot = {"pos": pos, "dir": direction, "diffuse": " ".join([diffuse] * 3), "castshadow": shadow}
         ET.SubElement(world, "light", spot, cutoff="60", specular="0.3 0.3 0.3")
-    ET.SubElement(world, "camera", name="overview", pos="0 -0.40 0.60", xyaxes="1 0 0 0 0.79 0.61", fovy="38")
+    ET.SubElement(world, "camera", name="overview", pos="0 -0.46 0.60", xyaxes="1 0 0 0 0.785 0.62", fovy="35")
     ET.SubElement(world, "camera", name="above", pos=f"0 0 {_n(PIVOT_HEIGHT + 1.0)}", fovy="22")
     # Below the board the table catches lost balls, the case keeps them together.
     ET.SubElement(world, "geom", name="table", type="plane", size="2 2 0.1", material="table")
