@@ -17,6 +17,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.marks import MARKS
 from labyrinth_sim.trials import Array
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ class Effect:
         parameters: at their `off` values the effect changes nothing, bit for bit.
         stage: what it changes.
         mark: what it looks like in the data.
+        shows: the mark of `labyrinth_sim.marks` that explains most of what it changes.
         confused_with: effects whose data can look the same.
         separated_by: the experiment that tells them apart.
         where: what it acts on: each axis, each measured position, or the ball.
@@ -101,6 +103,7 @@ class Effect:
     parameters: tuple[Parameter, ...]
     stage: Stage
     mark: str
+    shows: str
     confused_with: tuple[str, ...]
     separated_by: str
     where: Where = "axis"
@@ -113,6 +116,15 @@ class Effect:
     fields: "Callable[[Fields, Site, Values], None] | None" = None
     step: "Callable[[Live, Site, Values], None] | None" = None
     measure: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
+
+    def __post_init__(self) -> None:
+        if self.shows not in MARKS:
+            raise InputError(f"Effect {self.name}: {unknown_name('mark', self.shows, MARKS)}")
+
+    @property
+    def main(self) -> Parameter:
+        """The parameter by which it vanishes; the first of several."""
+        return next(p for p in self.parameters if p.off is not None)
 
     @property
     def off(self) -> dict[str, float]:

@@ -36,6 +36,7 @@ EFFECT = Effect(
     stage="mjcf",
     mark="After each reversal the load stands still for the width of the gap while the motor already turns; a loop of "
     "constant width when load is drawn over motor.",
+    shows="loop",
     confused_with=("coulomb_friction", "dead_band", "load_friction", "direction_friction", "sensor_quantisation"),
     separated_by="Slow triangles of two amplitudes with encoder and potentiometer: backlash widens the loop "
     "between the two, "

@@ -19,6 +19,7 @@ EFFECT = Effect(
     parameters=(Parameter("compliance", "rad/(N m)", 0.0, 2.0, 0.0, 0.3, "0 to a rubber band: 1 deg at 9 mN m"),),
     stage="mjcf",
     mark="The board swings after a step and lags the motor in proportion to its acceleration; no loop in slow motion.",
+    shows="passing",
     confused_with=("backlash", "sensor_lag", "return_spring"),
     separated_by="Slow triangles and fast steps: backlash keeps its width in slow motion, compliance vanishes there.",
     needs=("belt",),

@@ -28,6 +28,7 @@ EFFECT = Effect(
     parameters=(Parameter("angle", "rad", -0.05, 0.05, 0.0, 0.01, "+-3 deg: more is seen by eye"),),
     stage="mjcf",
     mark="The ball rolls away while all angles read zero, always to the same side.",
+    shows="adrift",
     confused_with=("rolling_friction", "sensor_bias", "gravity_load", "cross_coupling"),
     separated_by="Find the tilt at which the ball rests, from both sides: friction leaves a band about it, a "
     "tilted table "

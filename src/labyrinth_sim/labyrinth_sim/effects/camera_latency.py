@@ -19,6 +19,7 @@ EFFECT = Effect(
     parameters=(Parameter("delay", "s", 0.0, 0.2, 0.0, 0.05, "0 to six frames at 30 frames per second"),),
     stage="measurement",
     mark="The ball trails its true position by speed times latency, while the motors are on time.",
+    shows="late",
     confused_with=("command_delay", "rolling_friction"),
     separated_by="A step of the board: with latency the encoder moves on time and the ball late.",
     where="ball",

@@ -22,6 +22,7 @@ EFFECT = Effect(
     ),
     stage="measurement",
     mark="The ball rests at walls and corners where there are none, by more the farther from the board's origin.",
+    shows="scaled",
     confused_with=("rolling_friction", "camera_latency"),
     separated_by="Let the ball rest in several corners whose places are known.",
     where="ball",

@@ -23,6 +23,7 @@ EFFECT = Effect(
     ),
     stage="command",
     mark="Everything measured starts late by the same time after every command, encoder and board alike.",
+    shows="late",
     confused_with=("sensor_delay", "sensor_lag", "rate_limit"),
     separated_by="Compare encoder and potentiometer: a late sensor is late alone, a late command makes both late.",
     order=30,

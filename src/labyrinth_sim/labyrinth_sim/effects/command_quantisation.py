@@ -22,6 +22,7 @@ EFFECT = Effect(
     ),
     stage="command",
     mark="The axis moves in stairs under a slow ramp and stands still under changes of the command below one tick.",
+    shows="passing",
     confused_with=("dead_band", "positioning_error", "coulomb_friction"),
     separated_by="A slow triangle of large amplitude: the stairs of a quantised command lie at fixed angles, "
     "stick-slip "

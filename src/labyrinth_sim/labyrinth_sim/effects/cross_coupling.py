@@ -56,6 +56,7 @@ EFFECT = Effect(
     ),
     stage="mjcf",
     mark="This axis moves, in step, whenever only the other one is commanded.",
+    shows="coupled",
     confused_with=("board_not_level", "gravity_load"),
     separated_by="Move the axes one after the other: what this axis does while only the other moves is coupling.",
     needs=("other_axis",),

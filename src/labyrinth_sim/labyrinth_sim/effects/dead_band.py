@@ -19,6 +19,7 @@ EFFECT = Effect(
     parameters=(Parameter("half_width", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of compliance margin"),),
     stage="drive",
     mark="The axis stops short of its target by a fixed angle on the side it came from; small commands do nothing.",
+    shows="loop",
     confused_with=("coulomb_friction", "backlash", "command_quantisation", "stribeck_friction", "load_friction"),
     separated_by="Hold a target and look at the effort: friction leaves the motor pushing, a dead band leaves it idle.",
     error=error,

@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     stage="force",
     mark="The axis sticks more where it lowers a load than where it lifts the same one, or the other way round.",
+    shows="passing",
     confused_with=("load_friction", "coulomb_friction", "direction_friction"),
     separated_by="Lift and lower the same load slowly: with plain load friction both lose the same share.",
     touches=("dof_frictionloss",),

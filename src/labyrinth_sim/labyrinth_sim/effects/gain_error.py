@@ -22,6 +22,7 @@ EFFECT = Effect(
     ),
     stage="command",
     mark="Every angle is too large or too small by the same share, encoder and board alike, at rest too.",
+    shows="scaled",
     confused_with=("sensor_gain", "return_spring", "positioning_error"),
     separated_by="Compare encoder and potentiometer: a wrong sensor scale is seen in one of them, a gain error "
     "in both.",

@@ -38,6 +38,7 @@ EFFECT = Effect(
     parameters=(Parameter("moment", "kg m", -0.05, 0.05, 0.0, 0.01, "a board of 0.3 kg has +-0.04 kg m at its edge"),),
     stage="mjcf",
     mark="The axis settles to one side of every target by nearly the same angle, and rises slower than it falls.",
+    shows="offset",
     confused_with=(
         "direction_friction",
         "sensor_bias",

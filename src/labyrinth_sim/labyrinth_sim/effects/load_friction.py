@@ -25,6 +25,7 @@ EFFECT = Effect(
     stage="force",
     mark="The axis stops short of its target by more where it carries more load; hardly any friction "
     "where it carries none.",
+    shows="passing",
     confused_with=("coulomb_friction", "directional_load_friction", "direction_friction", "backlash", "gravity_load"),
     separated_by="Slow triangles about positions with high and with low load: the loop widens with the load.",
     touches=("dof_frictionloss",),

@@ -25,6 +25,7 @@ EFFECT = Effect(
     ),
     stage="command",
     mark="Steps become ramps of the same slope whatever their size; small steps look undisturbed.",
+    shows="passing",
     confused_with=("torque_saturation", "supply_sag", "viscous_friction", "command_delay"),
     separated_by="Steps of several sizes: a rate limit gives the same slope for all, saturation the same acceleration.",
     order=10,

@@ -25,6 +25,7 @@ EFFECT = Effect(
     parameters=(Parameter("coefficient", "1", 0.0, 0.9, 0.0, 0.5, "steel on wood bounces with 0.3 to 0.7"),),
     stage="mjcf",
     mark="The ball comes back from walls instead of staying at them.",
+    shows="passing",
     confused_with=("rolling_friction",),
     separated_by="Roll the ball straight at a wall at two tilts and compare the speeds before and after.",
     where="ball",

@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     stage="mjcf",
     mark="The axis falls short of its target in proportion to the target, and returns faster than it leaves.",
+    shows="scaled",
     confused_with=("gain_error", "sensor_gain", "gravity_load", "belt_compliance"),
     separated_by="Step away from zero and back to it: a spring makes the way out slower than the way back, a "
     "gain error "

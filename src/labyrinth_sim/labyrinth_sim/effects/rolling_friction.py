@@ -27,6 +27,7 @@ EFFECT = Effect(
     parameters=(Parameter("coefficient", "1", 0.0, 0.05, 0.0, 0.01, "steel on wood rolls with 0.002 to 0.02"),),
     stage="force",
     mark="The ball does not start below a certain tilt and loses the same speed every second.",
+    shows="calmer",
     confused_with=("board_not_level", "camera_latency", "camera_scale"),
     separated_by="Let it roll to and fro at one tilt: friction slows both ways, a board that is not level helps one of "
     "them.",

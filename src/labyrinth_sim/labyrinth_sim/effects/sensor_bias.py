@@ -24,6 +24,7 @@ EFFECT = Effect(
     ),
     stage="measurement",
     mark="One signal is shifted by the same angle at all times; the others are not.",
+    shows="offset",
     confused_with=("gravity_load", "positioning_error", "direction_friction"),
     separated_by="Compare the sensors of one axis: a bias moves one of them, a load or a wrong command moves both.",
     where="signal",

@@ -19,6 +19,7 @@ EFFECT = Effect(
     parameters=(Parameter("delay", "s", 0.0, 0.15, 0.0, 0.03, "0 to four frames of a slow camera"),),
     stage="measurement",
     mark="One signal is late by the same time throughout; the others are not.",
+    shows="late",
     confused_with=("sensor_lag", "command_delay"),
     separated_by="Compare the sensors of one axis: a late command makes both late, a late sensor only one.",
     where="signal",

@@ -20,6 +20,7 @@ EFFECT = Effect(
     parameters=(Parameter("gain", "1", 0.7, 1.3, 1.0, 1.05, "a scale off by 30 % would be noticed by eye"),),
     stage="measurement",
     mark="One signal is too large or too small by the same share at all times; the others are not.",
+    shows="scaled",
     confused_with=("gain_error", "return_spring"),
     separated_by="Compare the sensors of one axis: a wrong sensor scale is seen in one of them, a gain error in both.",
     where="signal",

@@ -22,6 +22,7 @@ EFFECT = Effect(
     ),
     stage="measurement",
     mark="One signal takes few values, all multiples of one angle.",
+    shows="stairs",
     confused_with=("command_quantisation", "backlash"),
     separated_by="Compare the sensors of one axis under a slow ramp: a coarse sensor shows stairs that the other "
     "does not.",

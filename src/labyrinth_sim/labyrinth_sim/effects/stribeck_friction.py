@@ -24,6 +24,7 @@ EFFECT = Effect(
     ),
     stage="force",
     mark="Slow motion goes in jerks (stick-slip); friction is felt near reversals and gone at speed.",
+    shows="loop",
     confused_with=("coulomb_friction", "dead_band", "load_friction", "backlash"),
     separated_by="Triangles at several speeds: Stribeck's friction falls with speed, Coulomb's does not.",
     touches=("dof_frictionloss",),

@@ -31,6 +31,7 @@ EFFECT = Effect(
     ),
     stage="force",
     mark="Both axes moving at once are slower than either alone; large steps lose their top speed.",
+    shows="passing",
     confused_with=("torque_saturation", "rate_limit", "viscous_friction"),
     separated_by="Step one axis alone, then both together: only sag makes the first slower because of the second.",
     touches=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),

@@ -18,6 +18,7 @@ EFFECT = Effect(
     parameters=(Parameter("share", "1", 0.005, 1.0, 1.0, 0.02, "a hundredth to all of the full torque"),),
     stage="mjcf",
     mark="Large steps accelerate and brake at a constant rate, small ones look undisturbed.",
+    shows="passing",
     confused_with=("rate_limit", "supply_sag", "viscous_friction"),
     separated_by="Steps of several sizes: saturation gives them the same acceleration, a rate limit the same slope.",
     order=10,
