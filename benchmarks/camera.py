@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed and accuracy of the camera line on rendered pictures, one core: `python benchmarks/camera.py [--seed N]`."""
+"""Speed and accuracy of the camera line on rendered pictures: `python benchmarks/camera.py [--seed N]`.
+
+Times are processor time of one thread, so other work on the machine hardly changes them.
+"""
 
 import argparse
 import json
@@ -30,13 +33,13 @@ def measure(lens: str, speed: float, rooms: int, frames: int, seed: int) -> dict
             ball = (float(place[0]), float(place[1])) if index % 5 else None
             velocity = (float(speed * np.cos(way)), float(speed * np.sin(way)))
             tilt = (float(rng.uniform(-0.1, 0.1)), float(rng.uniform(-0.1, 0.1)))
-            start = time.perf_counter()
+            start = time.process_time()
             frame = renderer.render(Scene(ball=ball, velocity=velocity, tilt=tilt, exposure=0.008))
-            rendered = time.perf_counter()
+            rendered = time.process_time()
             pose = marks.update(frame)
-            found = time.perf_counter()
+            found = time.process_time()
             seen = tracker.update(frame, pose, 0.0)
-            times.append((found - rendered, time.perf_counter() - found))
+            times.append((found - rendered, time.process_time() - found))
             render_times.append(rendered - start)
             if ball is None:
                 empty, false = empty + 1, false + seen.visible
