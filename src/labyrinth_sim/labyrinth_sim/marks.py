@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labyrinth_sim.trials import Array
 
@@ -127,5 +128,5 @@ def _direction(command: Array) -> Array:
     return np.asarray(steps[last])
 
 
-def _mean(values: Array, where: Array) -> float:
+def _mean(values: Array, where: NDArray[np.bool_]) -> float:
     return float(values[where].mean()) if where.any() else 0.0

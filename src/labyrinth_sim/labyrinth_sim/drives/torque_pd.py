@@ -37,7 +37,8 @@ def supply(live: Live, site: Site, factor: Array) -> None:
 DRIVE = Drive(
     name="torque_pd",
     title="Torque servo under a PD law on the angle",
-    physics="The motor's current, and so its torque, is proportional to the error less a share of the speed, up to a limit.",
+    physics="The motor's current, and so its torque, is proportional to the error less a share of the speed, up "
+    "to a limit.",
     equation="torque = clip(K (target - angle) - C speed, -M, M)",
     parameters=(
         Parameter("stiffness", "N m/rad", 0.01, 500.0, None, 10.0, "from a toy servo to one of 10 N m at 1 deg"),
