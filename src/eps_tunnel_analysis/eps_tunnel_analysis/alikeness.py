@@ -119,7 +119,7 @@ def alikeness(real: Tunnel, sim: Tunnel, k_real: float = 1.0, k_sim: float = 1.0
     # A mean of p values of magnitude M is rounded by at most (p - 1) ulp(M) / 2, and the few operations above add an
     # ulp each. For angles of a radian and ten trials this is 4e-15 rad: nothing that a sensor could resolve.
     ulps = real.trials + sim.trials + 4
-    magnitude = np.abs(real.mean) + np.abs(sim.mean) + np.maximum(-low, high)
+    magnitude = _reach(real, k_real) + _reach(sim, k_sim)
     rounding = ulps * np.finfo(np.float64).eps * magnitude
     with np.errstate(invalid="ignore"):
         alike = seen & (low - rounding <= apart) & (apart <= high + rounding)
@@ -129,6 +129,11 @@ def alikeness(real: Tunnel, sim: Tunnel, k_real: float = 1.0, k_sim: float = 1.0
 def alikeness_over_k(real: Tunnel, sim: Tunnel, ks: Iterable[float] = KS, k_sim: float = 1.0) -> tuple[Alikeness, ...]:
     """The alikeness at each real factor k, as in the paper's tables 2 and 3."""
     return tuple(alikeness(real, sim, k, k_sim) for k in ks)
+
+
+def _reach(tunnel: Tunnel, k: float) -> Array:
+    """How large the numbers were from which a tunnel was computed and widened, (T, m)."""
+    return np.abs(tunnel.mean) + (1 + k) * (tunnel.upper - tunnel.lower)
 
 
 def _mismatches(real: Tunnel, sim: Tunnel) -> list[str]:
