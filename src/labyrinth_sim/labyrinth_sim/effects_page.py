@@ -95,7 +95,7 @@ def picture(effect: Effect) -> str:
     model = load_model("labyrinth_manual")
     place = model.places(effect)[0]
     ball = effect.where == "ball" or "ball" in effect.needs
-    time: Array = np.arange(301) * 0.01
+    time: Array = np.linspace(0.0, 3.0, 301)
     x = np.interp(time, [0, 0.4, 1.2, 1.6], [0, 0.06, -0.06, 0]) + np.where((time > 1.8) & (time < 2.4), 0.06, 0.0)
     y = np.where(time > 2.4, 0.06 * np.sin(10 * (time - 2.4)), 0.0)
     start = {"ball_x": 0.1, "ball_y": 0.1} if ball else None

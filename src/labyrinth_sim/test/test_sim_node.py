@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulation node as a real process, seen from outside."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS 2")
+labyrinth_msgs = pytest.importorskip("labyrinth_msgs.srv", reason="needs the workspace to be built and sourced")
+
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from labyrinth_msgs.msg import BallState  # noqa: E402
+
+START = "from labyrinth_sim.nodes.sim_node import main; main()"
+DOMAIN = str(60 + os.getpid() % 40)
+ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": DOMAIN}
+
+
+def start(*parameters: str) -> subprocess.Popen[str]:
+    flags = [word for parameter in parameters for word in ("-p", parameter)]
+    return subprocess.Popen(
+        [sys.executable, "-c", START, *(["--ros-args", *flags] if flags else [])],
+        env={**os.environ, **ENVIRONMENT},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+class Watcher:
+    """A node that keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=int(DOMAIN))
+        self.node = rclpy.create_node("watcher", context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.states: list[JointState] = []
+        self.balls: list[BallState] = []
+        self.clocks: list[Clock] = []
+        self.node.create_subscription(JointState, "/sim/joint_states", self.states.append, 50)
+        self.node.create_subscription(BallState, "/sim/ball", self.balls.append, 50)
+        self.node.create_subscription(Clock, "/clock", self.clocks.append, 50)
+        self.commands = self.node.create_publisher(JointState, "/sim/joint_commands", 10)
+
+    def until(self, done: Callable[[], bool], seconds: float = 30.0) -> None:
+        end = time.monotonic() + seconds
+        while not done():
+            assert time.monotonic() < end, "waited in vain"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def call(self, kind: type, name: str, **fields: str) -> object:
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(kind.Request(**fields))
+        self.until(future.done)
+        return future.result()
+
+    def angle(self, joint: str) -> float:
+        return float(self.states[-1].position[list(self.states[-1].name).index(joint)])
+
+
+@pytest.fixture
+def watcher(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watcher]:
+    for name, value in ENVIRONMENT.items():
+        monkeypatch.setenv(name, value)
+    watcher = Watcher()
+    yield watcher
+    watcher.executor.shutdown()
+    watcher.node.destroy_node()
+    rclpy.shutdown(context=watcher.context)
+
+
+def test_the_node_obeys_changes_its_model_and_leaves_cleanly(watcher: Watcher) -> None:
+    node = start("model:=labyrinth_manual")
+    try:
+        watcher.until(lambda: len(watcher.states) > 20 and len(watcher.balls) > 20)
+        assert set(watcher.states[-1].name) == {"motor_x", "motor_y", "board_x", "board_y"}
+        stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in watcher.states]
+        assert {round((b - a) / 1e6) for a, b in zip(stamps, stamps[1:], strict=False)} == {10}
+        watcher.commands.publish(JointState(name=["motor_x"], position=[0.03]))
+        watcher.until(lambda: abs(watcher.angle("board_x") - 0.03) < 1e-3)
+        refused = watcher.call(labyrinth_msgs.LoadModel, "/sim/load_model", model="labyrinth_manuel")
+        assert not refused.success
+        assert "labyrinth_manual" in refused.message
+        taken = watcher.call(labyrinth_msgs.LoadModel, "/sim/load_model", model="labyrinth_es_x")
+        assert taken.success, taken.message
+        heard = len(watcher.states)
+        watcher.until(lambda: len(watcher.states) > heard + 20)
+        assert watcher.angle("motor_x") == pytest.approx(0.03, abs=5e-3)
+        assert watcher.call(Trigger, "/sim/supply_ball").success
+        assert watcher.call(Trigger, "/sim/reset").success
+        watcher.until(lambda: abs(watcher.angle("motor_x")) < 1e-3)
+    finally:
+        node.send_signal(signal.SIGINT)
+        _, errors = node.communicate(timeout=30)
+    assert node.returncode == 0, errors
+    assert "Traceback" not in errors
+
+
+def test_the_clock_runs_at_the_factor_asked_for(watcher: Watcher) -> None:
+    node = start("real_time_factor:=4.0")
+    try:
+        watcher.until(lambda: len(watcher.clocks) > 100)
+        stamp = watcher.states[-1].header.stamp
+        assert 0 < stamp.sec + stamp.nanosec * 1e-9 < 60
+    finally:
+        node.send_signal(signal.SIGTERM)
+        node.communicate(timeout=30)
+    assert node.returncode == 0
+
+
+@pytest.mark.parametrize("wrong", ["model:=no_such_model", "real_time_factor:=0.0", "rate:=fast"])
+def test_wrong_parameters_are_refused(wrong: str) -> None:
+    node = start(wrong)
+    _, errors = node.communicate(timeout=60)
+    assert node.returncode == 2
+    assert wrong.split(":=")[0] in errors
+    assert "Traceback" not in errors
