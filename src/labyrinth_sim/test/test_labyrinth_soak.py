@@ -101,9 +101,9 @@ def test_ball_never_tunnels_in_ten_minutes_of_violent_tilting(name: str) -> None
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_ball_stays_in_its_corridor_at_the_servos_top_speed(name: str) -> None:
-    """Steps anywhere in -5..5 deg; torque falls over the DX-117's compliance slope and with speed."""
+    """Steps anywhere in -5..5 deg; torque falls over the compliance slope and with speed."""
     layout = LAYOUTS[name]
-    no_load_speed, slope = np.radians(60 / 0.172), np.radians(9.28)  # 0.172 s / 60 deg at 12 V; slope 32
+    no_load_speed, slope = np.radians(60 / 0.172), np.radians(9.28)  # estimates for a DX-117 at 12 V
     spec = mujoco.MjSpec.from_string(labyrinth_xml(layout))
     for actuator in spec.actuators:
         gain = STALL_TORQUE / slope

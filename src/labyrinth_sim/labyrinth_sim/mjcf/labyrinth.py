@@ -26,7 +26,7 @@ BOARD_MASS = 0.30  # kg, estimate: 5 mm plywood at 600 kg/m^3, walls and rim
 FRAME_MASS = 0.15  # kg, estimate
 HORN_MASS = 0.02  # kg, estimate
 ARMATURE = 0.01  # kg m^2 behind the gear, estimate; fitted figures of such servos lie between 0.002 and 0.045
-STALL_TORQUE = 2.8  # N m, DX-117 at 12 V (data sheet: 28.9 kgf cm)
+STALL_TORQUE = 2.8  # N m, estimate for a DX-117 at 12 V; not checked against its manual
 
 BELT_RATIO = 1.0  # board angle per motor angle: the paper's motor angles are board angles
 BELT_STIFFNESS = 100.0  # N m/rad: 1.6 deg at stall torque, hardly more than rigid; resonance at 45 Hz
