@@ -7,19 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array, Trials, locked
-
-
-@dataclass(frozen=True)
-class Play:
-    """One command sequence C and the trials in which it was played."""
-
-    name: str
-    trials: Trials
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from eps_tunnel_analysis.recording.channel_map import (
     guessed_map,
 )
 from eps_tunnel_analysis.recording.csv_import import CsvColumns, csv_to_bag
+from eps_tunnel_analysis.recording.plays import PlaysResult, to_plays
 from eps_tunnel_analysis.recording.reader import read
 from eps_tunnel_analysis.recording.recording import (
     Gap,
@@ -30,6 +31,7 @@ __all__ = [
     "ChannelMap",
     "CsvColumns",
     "Gap",
+    "PlaysResult",
     "Recording",
     "RecordingError",
     "ResampleReport",
@@ -44,5 +46,6 @@ __all__ = [
     "read",
     "read_trials",
     "repair",
+    "to_plays",
     "to_trials",
 ]

@@ -116,12 +116,33 @@ def to_trials(
         InputError: all complaints at once: missing topics, joints or signals, NaN or infinite values, trials of
             different length or sequence.
     """
+    check_positive(rate=rate, max_gap=max_gap, max_hold=max_hold)
+    spans, notes = collect(recordings, rig, signals, namespace)
+    check_same_sequence([span.window for span in spans])
+    return on_grid(spans, notes, rate, max_gap, max_hold, cut_to_shortest)
+
+
+@dataclass(frozen=True)
+class Span:
+    """One trial: where it lies in which recording, and what to take from there."""
+
+    recording: Recording
+    channels: ChannelMap
+    window: Window
+
+
+def collect(
+    recordings: Sequence[Recording],
+    rig: Rig | ChannelMap | None,
+    signals: Sequence[str] | None,
+    namespace: str | None,
+) -> tuple[list[Span], list[str]]:
+    """Every trial of the recordings, whatever it plays, and notes on what was left out. See `to_trials`."""
     if not recordings:
         raise InputError("No recordings; expected at least one.")
-    _check_positive(rate=rate, max_gap=max_gap, max_hold=max_hold)
     complaints: list[str] = []
     maps: list[ChannelMap] = []
-    spans: list[tuple[Recording, ChannelMap, Window]] = []
+    spans: list[Span] = []
     notes: list[str] = [note for recording in recordings for note in recording.notes]
     for recording in recordings:
         try:
@@ -129,23 +150,27 @@ def to_trials(
             channels = channels.select(signals) if signals is not None else channels
             check_channels(recording, channels)
             maps.append(channels)
-            spans += [(recording, channels, window) for window in windows(recording, channels, notes)]
+            spans += [Span(recording, channels, window) for window in windows(recording, channels, notes)]
         except InputError as error:
             complaints += error.complaints
     if complaints:
         raise InputError(complaints)
     check_same_channels(recordings, maps)
-    found = [window for _, _, window in spans]
-    check_same_sequence(found)
-    samples = cut(
-        [window.seconds for window in found], [window.label for window in found], rate, cut_to_shortest, notes
-    )
+    return spans, notes
+
+
+def on_grid(
+    spans: Sequence[Span], notes: list[str], rate: float, max_gap: float, max_hold: float | None, to_shortest: bool
+) -> TrialsResult:
+    """Trials of one sequence on one grid. See `to_trials`."""
+    found = [span.window for span in spans]
+    samples = cut([window.seconds for window in found], [window.label for window in found], rate, to_shortest, notes)
     time = np.arange(samples) / rate
     ticks = np.round(time * 1e9).astype(np.int64)
-    values = np.stack([_values(r, c, window.start + ticks, max_gap) for r, c, window in spans])
-    commands = np.stack([_commands(r, c, window.start + ticks, max_hold) for r, c, window in spans])
+    values = np.stack([_values(span, span.window.start + ticks, max_gap) for span in spans])
+    commands = np.stack([commands_on(span, span.window.start + ticks, max_hold) for span in spans])
     check_same_commands(commands, [window.label for window in found])
-    first = maps[0]
+    first = spans[0].channels
     names = tuple(source.name for source in first.signals)
     trials = Trials(
         time=time,
@@ -157,9 +182,9 @@ def to_trials(
     )
     gaps = tuple(
         (trial, source.name, start, length)
-        for trial, (recording, channels, window) in enumerate(spans)
-        for source in channels.signals
-        for start, length in _gaps(recording, source, window, max_gap)
+        for trial, span in enumerate(spans)
+        for source in span.channels.signals
+        for start, length in _gaps(span.recording, source, span.window, max_gap)
     )
     missing = np.isnan(values).sum(axis=1)
     notes += _loss_notes(names, missing, samples, [window.label for window in found])
@@ -167,7 +192,7 @@ def to_trials(
     return TrialsResult(trials, report, found[0].sequence, found[0].sequence_hash)
 
 
-def _check_positive(**values: float | None) -> None:
+def check_positive(**values: float | None) -> None:
     complaints = [
         f"{name} must be a positive number, got {value}."
         for name, value in values.items()
@@ -185,9 +210,10 @@ def _channels(recording: Recording, rig: Rig | ChannelMap | None, namespace: str
     return channel_map(rig, namespace_of(recording) if namespace is None else namespace)
 
 
-def _values(recording: Recording, channels: ChannelMap, grid: NDArray[np.int64], max_gap: float) -> Array:
-    out = np.empty((len(grid), len(channels.signals)))
-    for i, source in enumerate(channels.signals):
+def _values(span: Span, grid: NDArray[np.int64], max_gap: float) -> Array:
+    recording, sources = span.recording, span.channels.signals
+    out = np.empty((len(grid), len(sources)))
+    for i, source in enumerate(sources):
         topic = recording.topics[source.topic]
         there = seen(topic)
         stamps = recording.stamps(source.topic)
@@ -195,9 +221,11 @@ def _values(recording: Recording, channels: ChannelMap, grid: NDArray[np.int64],
     return out
 
 
-def _commands(recording: Recording, channels: ChannelMap, grid: NDArray[np.int64], max_hold: float | None) -> Array:
-    out = np.empty((len(grid), len(channels.commands)))
-    for i, source in enumerate(channels.commands):
+def commands_on(span: Span, grid: NDArray[np.int64], max_hold: float | None) -> Array:
+    """(T, u) rad, the commands of a trial on a grid (T,) ns."""
+    recording, sources = span.recording, span.channels.commands
+    out = np.empty((len(grid), len(sources)))
+    for i, source in enumerate(sources):
         topic = recording.topics[source.topic]
         out[:, i] = hold(recording.stamps(source.topic), topic.columns[source.column], grid, max_hold)
     return out
