@@ -187,16 +187,17 @@ class AnalysisNode(TunnelNode):
                 response.bags = self._recorder.stop()
                 response.message = f"Recorded {', '.join(response.bags)}."
             response.success = True
+            self.get_logger().info(response.message)
         except InputError as error:
             response.success, response.message = False, str(error)
-        (self.get_logger().info if response.success else self.get_logger().error)(response.message)
+            self.get_logger().error(response.message)
         return response
 
     def _note_models(self, message: DiagnosticArray) -> None:
         """The simulation tells its model in its diagnostics; the bag's metadata should name it."""
         for status in message.status:
             for entry in status.values:
-                if entry.key == "model" and "sim" in status.name:
+                if entry.key == "model" and status.name.startswith("sim_node"):
                     self._recorder.models["sim"] = entry.value
 
     def _tell_health(self) -> None:

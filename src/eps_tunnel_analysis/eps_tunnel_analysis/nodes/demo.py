@@ -34,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
     """Options of `ros2 run eps_tunnel_analysis demo`."""
     p = argparse.ArgumentParser(
         prog="demo",
-        description="Plays a sequence on the emulated testbed and on its MuJoCo simulation at once, records one bag per "
+        description="Plays a sequence on the emulated testbed and on its simulation at once, records one bag per "
         "side, and reports how far apart they are and where. Needs no rig, no screen, no root.",
     )
     p.add_argument("--sequence", default="paper_8s", help="name or path of the sequence (default: %(default)s)")

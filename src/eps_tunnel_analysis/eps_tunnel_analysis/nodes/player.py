@@ -4,6 +4,7 @@
 import math
 import sys
 import threading
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -128,8 +129,13 @@ class Player(TunnelNode):
             outcome = self._play.play(find_sequence(name), trials, record, folder, tell, stopped)
         except InputError as error:
             outcome = Outcome(False, str(error), ())
-        log = self.get_logger()
-        (log.info if outcome.success else log.error)(outcome.message)
+        except Exception as error:  # a thread that died silently would leave the player busy for ever
+            self.get_logger().error(traceback.format_exc())
+            outcome = Outcome(False, f"The player failed: {error!r}. Its log tells where.", ())
+        if outcome.success:
+            self.get_logger().info(outcome.message)
+        else:
+            self.get_logger().error(outcome.message)
         return outcome
 
     def _autostart(self) -> None:

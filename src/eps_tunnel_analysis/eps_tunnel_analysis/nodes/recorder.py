@@ -152,22 +152,19 @@ class Recorder:
 
 
 class _Order:
-    """Arrival times in the order of sending.
+    """Arrival times in the order of delivery.
 
-    When a publisher and this reader have just found each other, DDS delivers the newest message first and those before
-    it after. Such a latecomer is logged at the time at which it would have come in its turn.
+    What DDS sends again, when publisher and reader have just found each other say, arrives after its successors, yet is
+    delivered before them. A bag is read by log time, which must not undo that order.
     """
 
     def __init__(self) -> None:
-        self._sent, self._arrived = 0, 0
+        self._last = 0
 
     def arrival(self, info: MessageInfo) -> int:
-        """ns by this machine's clock."""
-        arrived, sent = info["received_timestamp"] or time.time_ns(), info["source_timestamp"]
-        if sent >= self._sent:
-            self._sent, self._arrived = sent, arrived
-            return arrived
-        return self._arrived - (self._sent - sent)
+        """ns by this machine's clock, later than that of the message before."""
+        self._last = max(self._last + 1, info["received_timestamp"] or time.time_ns())
+        return self._last
 
 
 def _versions() -> dict[str, str]:

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Player, analysis node and two simulations as real processes over real DDS."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
+pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
+from nodes_under_test import Workplace, workplace
+from rclpy.action import ActionClient
+
+from eps_tunnel_analysis.compare import compare
+from eps_tunnel_analysis.nodes.processes import executable
+from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.recording.trials_from_bags import read_trials
+from eps_tunnel_analysis.sequence_file import load_sequence
+from labyrinth_msgs.action import PlaySequence
+from labyrinth_msgs.msg import Srg, TunnelSample
+
+SEQUENCE = """
+description: A step on one axis, a sine on the other.
+initial_deg: {motor_x: 1, motor_y: 0}
+trials: 2
+command:
+  motor_x: [{step: {to_deg: -1, lasts_s: 1.2}}]
+  motor_y: [{sine: {amplitude_deg: 2, frequency_hz: 1.25, lasts_s: 0.8}}]
+"""
+
+
+class Rigs(Workplace):
+    """Two simulations as /real and /sim, the analysis node and the player."""
+
+    def begin(self) -> None:
+        self.srg: list[Srg] = []
+        self.samples: list[TunnelSample] = []
+        self.node.create_subscription(Srg, "/srg", self.srg.append, 10)
+        self.node.create_subscription(TunnelSample, "/srg/tunnel", self.samples.append, 1000)
+        self.client = ActionClient(self.node, PlaySequence, "/play_sequence")
+        self.sequence = self.folder / "short.yaml"
+        self.sequence.write_text(SEQUENCE, encoding="utf-8")
+        self.start("labyrinth_sim", "sim_node", "sim_node", model="labyrinth_manual")
+        noisy = {"namespace": "/real", "noise": 0.0005, "seed": 3}
+        self.start("labyrinth_sim", "sim_node", "other_node", model="labyrinth_es_x", **noisy)
+        self.start("eps_tunnel_analysis", "analysis_node")
+        # Other work on this machine may hold a node up; a rig that is gone is silent for good.
+        self.start("eps_tunnel_analysis", "player", silence_timeout=20.0, connect_timeout=60.0, rest_timeout=60.0)
+        self.until(self.client.server_is_ready)
+        told: list[str] = []
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda message: told.extend(s.name for s in message.status), 10
+        )
+        # The bags name the simulation's model, which the analysis node hears of once a second.
+        self.until(lambda: "analysis_node: samples" in told)
+        told.clear()
+        self.until(lambda: told.count("sim_node: simulation") > 1)
+
+    def send(self, feedback: list[PlaySequence.Feedback] | None = None, **goal: Any) -> Any:
+        """Sends a goal and returns its handle."""
+        told = (lambda message: feedback.append(message.feedback)) if feedback is not None else None
+        return self.result(self.client.send_goal_async(PlaySequence.Goal(**goal), feedback_callback=told))
+
+    def outcome(self, handle: Any) -> Any:
+        assert handle.accepted
+        return self.result(handle.get_result_async())
+
+
+@pytest.fixture(scope="module")
+def rigs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rigs]:
+    with workplace(tmp_path_factory.mktemp("rigs"), 41) as place:
+        place.__class__ = Rigs
+        place.begin()
+        yield place
+
+
+@pytest.fixture(scope="module")
+def run(rigs: Rigs) -> tuple[PlaySequence.Result, list[PlaySequence.Feedback]]:
+    """One run of two trials, recorded; while it lasts a second goal is refused."""
+    feedback: list[PlaySequence.Feedback] = []
+    folder = str(rigs.folder / "bags")
+    first = rigs.send(feedback, sequence=str(rigs.sequence), record=True, folder=folder)
+    second = rigs.send(sequence="paper_8s")
+    assert not second.accepted
+    answer = rigs.outcome(first)
+    assert answer.result.success, answer.result.message
+    assert answer.status == GoalStatus.STATUS_SUCCEEDED
+    return answer.result, feedback
+
+
+def test_one_bag_per_side_is_recorded_with_what_was_played(rigs: Rigs, run: Any) -> None:
+    result, _ = run
+    assert [Path(bag).name for bag in result.bags] == ["short_real", "short_sim"]
+    sequence = load_sequence(rigs.sequence)
+    for bag, side, model in zip(result.bags, ("real", "sim"), ("", "labyrinth_manual"), strict=True):
+        recording = read(bag)
+        assert recording.closed
+        assert recording.metadata["sequence"] == "short"
+        assert recording.metadata["sequence_hash"] == sequence.hash
+        assert recording.metadata["side"] == side
+        assert recording.metadata["model"] == model
+        assert "version.rosbags" in recording.metadata
+        assert {f"/{side}/{name}" for name in ("joint_commands", "joint_states", "trial")} <= {
+            name for name, topic in recording.topics.items() if len(topic)
+        }
+
+
+def test_both_sides_get_the_same_commands_with_the_same_stamps(rigs: Rigs, run: Any) -> None:
+    real, sim = (read(bag) for bag in run[0].bags)
+    command = load_sequence(rigs.sequence).commands[0]
+    _, expected = command.sample(100.0)
+    for one, other in zip(real.marks, sim.marks, strict=True):
+        assert (one.stamp, one.phase, one.trial) == (other.stamp, other.phase, other.trial)
+    stamps = [recording.stamps(f"/{side}/joint_commands") for recording, side in ((real, "real"), (sim, "sim"))]
+    starts = [mark.stamp for mark in real.marks if mark.phase == "start"]
+    assert [mark.phase for mark in real.marks] == ["start", "end", "start", "end"]
+    for start in starts:
+        rows = []
+        for recording, side, times in zip((real, sim), ("real", "sim"), stamps, strict=True):
+            first = int(np.searchsorted(times, start))
+            assert np.array_equal(times[first : first + 120], start + np.round(np.arange(120) * 1e7).astype(int))
+            columns = recording.topics[f"/{side}/joint_commands"].columns
+            played = [columns[f"{channel}.position"][first : first + 120] for channel in command.channels]
+            rows.append(np.column_stack(played))
+        assert np.array_equal(rows[0], rows[1])
+        assert np.array_equal(rows[0], expected)
+
+
+def test_every_trial_starts_at_rest_in_the_initial_pose(rigs: Rigs, run: Any) -> None:
+    command = load_sequence(rigs.sequence).commands[0]
+    for bag, side in zip(run[0].bags, ("real", "sim"), strict=True):
+        recording = read(bag)
+        stamps = recording.stamps(f"/{side}/joint_states")
+        for mark in recording.marks:
+            if mark.phase != "start":
+                continue
+            before = (stamps > mark.stamp - 200_000_000) & (stamps < mark.stamp)
+            for channel, target in zip(command.channels, command.initial, strict=True):
+                measured = recording.topics[f"/{side}/joint_states"].columns[f"{channel}.position"][before]
+                assert np.ptp(measured) < np.radians(0.4)
+                assert measured.mean() == pytest.approx(target, abs=np.radians(0.5))
+
+
+def test_progress_is_told_phase_by_phase(run: Any) -> None:
+    feedback = run[1]
+    phases = [f.phase for f in feedback]
+    assert {"settling", "playing"} <= set(phases) <= {"returning", "settling", "playing", "recording"}
+    shares = [f.progress for f in feedback]
+    assert all(0 <= share <= 1 for share in shares)
+    assert {(f.trial, f.trials) for f in feedback} == {(0, 2), (1, 2)}
+
+
+def test_the_live_figures_at_the_end_are_those_of_the_bags(rigs: Rigs, run: Any) -> None:
+    rigs.srg.clear()
+    live = rigs.until(lambda: rigs.srg and rigs.srg[-1])
+    real, sim = (read_trials([bag], signals=live.signals).trials for bag in run[0].bags)
+    offline = compare(real, sim)
+    assert live.trials == real.count == 2
+    assert set(live.signals) >= {"motor_x", "motor_y", "board_x", "board_y"}
+    table = np.array(live.alikeness).reshape(len(live.signals), len(live.k))
+    for row, signal in enumerate(live.signals):
+        assert table[row].tolist() == [a.shares[signal] for a in offline.alikeness]
+    assert list(live.joint) == [a.joint for a in offline.alikeness]
+
+
+def test_the_tunnel_is_told_sample_by_sample(rigs: Rigs, run: Any) -> None:
+    assert len(rigs.samples) > 100
+    for sample in rigs.samples[:: len(rigs.samples) // 20]:
+        assert len(sample.signals) == len(sample.mean) == len(sample.alike)
+        assert max(sample.lower) <= 0 <= min(sample.upper)
+
+
+def test_a_cancelled_run_ends_with_aborted_marks_and_whole_bags(rigs: Rigs, run: Any) -> None:
+    feedback: list[PlaySequence.Feedback] = []
+    handle = rigs.send(feedback, sequence=str(rigs.sequence), record=True, folder=str(rigs.folder / "cancelled"))
+    rigs.until(lambda: feedback and feedback[-1].phase == "playing")
+    rigs.result(handle.cancel_goal_async())
+    answer = rigs.outcome(handle)
+    assert answer.status == GoalStatus.STATUS_CANCELED
+    assert "cancelled" in answer.result.message
+    for bag in answer.result.bags:
+        recording = read(bag)
+        assert recording.closed
+        assert [mark.phase for mark in recording.marks] == ["start", "aborted"]
+
+
+@pytest.mark.parametrize(
+    ("goal", "told"),
+    [
+        ({"sequence": "paper8s"}, "Did you mean 'paper_8s'"),
+        ({"sequence": ""}, "No sequence named"),
+        ({"sequence": "short", "too_far": True}, "moves motor_x from 0 to 30 deg; allowed are -5 to 5 deg"),
+    ],
+)
+def test_what_cannot_be_played_is_refused_with_the_reason(
+    rigs: Rigs, run: Any, goal: dict[str, Any], told: str
+) -> None:
+    if goal.pop("too_far", False):
+        path = rigs.folder / "far.yaml"
+        text = "initial_deg: {motor_x: 0}\ncommand: {motor_x: [{step: {to_deg: 30, lasts_s: 1}}]}"
+        path.write_text(text, encoding="utf-8")
+        goal = {"sequence": str(path)}
+    answer = rigs.outcome(rigs.send(**goal))
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert told in answer.result.message
+
+
+def test_a_recording_that_exists_is_not_overwritten(rigs: Rigs, run: Any) -> None:
+    goal = {"sequence": str(rigs.sequence), "record": True, "folder": str(rigs.folder / "bags")}
+    answer = rigs.outcome(rigs.send(**goal))
+    assert not answer.result.success
+    assert "not overwritten" in answer.result.message
+
+
+def started(name: str, *parameters: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    command = [str(executable("eps_tunnel_analysis", name)), "--ros-args"]
+    command += [part for parameter in parameters for part in ("-p", parameter)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_without_a_rig_the_player_says_who_is_missing(rigs: Rigs) -> None:
+    environment = {**rigs.environment, "ROS_DOMAIN_ID": "42"}
+    done = started("player", "sequence:=paper_8s", "sides:=[real]", "connect_timeout:=0.5", environment=environment)
+    assert done.returncode == 1
+    assert "Nobody listens to /real/joint_commands" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "told"),
+    [
+        ("player", "rate:=0.1", "Parameter 'rate': expected double from 1 to 1000 [Hz], got 0.1"),
+        ("player", "sequense:=paper_8s", "Did you mean 'sequence'?"),
+        ("player", "sides:=[left]", "Unknown side 'left'"),
+        ("player", "sequence:=nothing", "Unknown sequence 'nothing'"),
+        ("analysis_node", "ks:=[1.0, 1.0]", "Parameter 'ks': expected different numbers"),
+        ("analysis_node", "max_gap:=text", "Parameter 'max_gap': expected double"),
+    ],
+)
+def test_a_wrong_parameter_is_refused_with_exit_code_2(rigs: Rigs, name: str, parameter: str, told: str) -> None:
+    done = started(name, parameter, environment={**rigs.environment, "ROS_DOMAIN_ID": "42"})
+    assert done.returncode == 2
+    assert told in done.stderr
