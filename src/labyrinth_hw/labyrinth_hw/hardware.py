@@ -1,23 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rig as one thing: servos, sensor line, safety and compensation, one control period at a time. Knows no ROS."""
 
-import os
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
-from typing import Any
+
+import yaml
 
 from labyrinth_hw import config
 from labyrinth_hw.compensation import Compensation, Compensator, compensation_from
 from labyrinth_hw.errors import BusError, HardwareError, InputError, PortError, SensorError, unknown_name
+from labyrinth_hw.links import device
 from labyrinth_hw.safety import Command, Limits, Safety, State
 from labyrinth_hw.sensors import BoardState, Potentiometer, SensorLine
 from labyrinth_hw.servo_bus import Motor, MotorState, ServoBus, motors_from
+from labyrinth_hw.vision import CameraSettings, camera_settings
 
-KEYS = {"servo_port", "sensor_port", "motors", "potentiometers", "limits", "compensation", "torque_share", "camera"}
+KEYS = {
+    "servo_port",
+    "sensor_port",
+    "motors",
+    "potentiometers",
+    "limits",
+    "compensation",
+    "torque_share",
+    "camera",
+    "layout",
+}
 RECONNECT_EVERY = 0.5  # s
 FAILURES_TO_DISCONNECT = 5
 
@@ -35,7 +46,8 @@ class HardwareConfig:
     limits: Mapping[str, Limits]
     compensation: Mapping[str, Compensation]
     torque_share: float | None
-    camera: Mapping[str, Any]
+    camera: CameraSettings | None
+    holes: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -102,7 +114,8 @@ def load_hardware(name: str | Path) -> HardwareConfig:
             limits=limits,
             compensation=compensations,
             torque_share=float(content["torque_share"]) if content.get("torque_share") is not None else None,
-            camera=dict(content.get("camera") or {}),
+            camera=camera_settings(content.get("camera") or {}),
+            holes=_holes(str(content.get("layout", "medium"))),
         )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         if isinstance(error, InputError):
@@ -111,17 +124,15 @@ def load_hardware(name: str | Path) -> HardwareConfig:
         raise InputError(complaints) from error
 
 
-def device(path: str) -> str:
-    """A device's path; a bare name means a link of the emulated testbed."""
-    if "/" in path:
-        return path
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = (
-        Path(runtime) / "labyrinth_testbed"
-        if runtime
-        else Path(tempfile.gettempdir()) / f"labyrinth_testbed_{os.getuid()}"
-    )
-    return str(folder / path)
+def _holes(layout: str) -> tuple[tuple[float, float], ...]:
+    """Centres of the holes, m, in the order of their numbers from 1; none where the geometry is not at hand."""
+    path = config.find_geometry()
+    if path is None:
+        return ()
+    layouts = yaml.safe_load(path.read_text(encoding="utf-8"))["layouts"]
+    if layout not in layouts:
+        raise InputError(unknown_name("layout", layout, layouts))
+    return tuple((float(x), float(y)) for x, y in layouts[layout]["holes"])
 
 
 class Hardware:

@@ -7,7 +7,7 @@ import threading
 import time
 import traceback
 from collections.abc import Mapping
-from math import nan
+from math import hypot, nan
 from types import FrameType
 from typing import Any
 
@@ -20,14 +20,17 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Image, JointState
 from std_srvs.srv import Trigger
 
 from labyrinth_hw.errors import HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement, load_hardware
+from labyrinth_hw.priority import ask_for_priority
 from labyrinth_hw.safety import Command, State
-from labyrinth_msgs.msg import BallEvent
+from labyrinth_hw.vision import Sight, Vision
+from labyrinth_msgs.msg import BallEvent, BallState
 
+NEAR_HOLE = 0.03  # m
 RELIABLE = QoSProfile(depth=50)
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -48,6 +51,7 @@ class HwNode(Node):
         slack = self._declare("compensate_slack", False, "correct goals by the calibrated slack of the belt [-]")
         self._refuse_unknown_parameters()
         self._settings = load_hardware(str(config))
+        self._holes = self._settings.holes
         self._timeout = float(timeout)
         self._period = 1.0 / float(rate)
         self.hardware = Hardware(
@@ -60,6 +64,7 @@ class HwNode(Node):
         self._orders: list[str] = []
         self._pub = {"cycles": 0, "late": 0, "silent": 0, "refused": 0}
         self._piezo: int | None = None
+        self._place: tuple[float, float] | None = None
         self._told = State.WAITING
         self._stop = threading.Event()
         qos: dict[str, Any] = {
@@ -81,6 +86,13 @@ class HwNode(Node):
             f"{motors} on {self._settings.servo_port}, {self._settings.baud} baud: {bus.cycle * 1e3:.1f} ms of bus "
             f"time in a period of {self._period * 1e3:g} ms.{' Dry run: nothing will move.' if dry_run else ''}"
         )
+        self._vision = Vision(self._settings.camera) if self._settings.camera is not None else None
+        self._sight: Sight | None = None
+        self._eyes = threading.Thread(target=self._watch, name="vision", daemon=True)
+        if self._vision is not None:
+            self._balls = self.create_publisher(BallState, f"{prefix}/ball", **qos)
+            self._pictures = self.create_publisher(Image, f"{prefix}/camera/annotated", 1)
+            self._eyes.start()
         self._thread.start()
 
     def _declare(self, name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
@@ -116,6 +128,8 @@ class HwNode(Node):
                 self._command = Command(dict(self._goals), time.monotonic() - max(0.0, age))
 
     def _control(self) -> None:
+        if not ask_for_priority():
+            self.get_logger().info("No real-time priority; on a busy machine control periods may come late.")
         due = time.monotonic()
         try:
             while not self._stop.is_set():
@@ -181,10 +195,40 @@ class HwNode(Node):
                 self._event(BallEvent.LOST)
             self._piezo = board.piezo
 
+    def _watch(self) -> None:
+        vision = self._vision
+        while vision is not None and not self._stop.is_set():
+            sight = vision.next(0.2)
+            if sight is None or not rclpy.ok():
+                continue
+            stamp = _time(sight.stamp + self.get_clock().now().nanoseconds * 1e-9 - time.monotonic())
+            message = BallState(visible=sight.visible, x=sight.x, y=sight.y)
+            message.header.stamp, message.header.frame_id = stamp, "board"
+            self._balls.publish(message)
+            if sight.visible:
+                self._place = (sight.x, sight.y)
+            self._sight = sight
+            if sight.picture is not None:
+                height, width, data = sight.picture
+                image = Image(height=height, width=width, encoding="bgr8", step=3 * width, data=data)
+                image.header = message.header
+                self._pictures.publish(image)
+            if (wanted := self._pictures.get_subscription_count() > 0) != vision.pictures.is_set():
+                (vision.pictures.set if wanted else vision.pictures.clear)()
+
     def _event(self, kind: int) -> None:
-        event = BallEvent(kind=kind, hole=-1)
+        hole = self._nearest_hole() if kind == BallEvent.LOST else -1
+        event = BallEvent(kind=kind, hole=hole)
         event.header.stamp, event.header.frame_id = self.get_clock().now().to_msg(), "board"
         self._events.publish(event)
+
+    def _nearest_hole(self) -> int:
+        """Number of the hole beside which the ball was seen last, -1 where it was not seen near one."""
+        if self._place is None or not self._holes:
+            return -1
+        away = [hypot(x - self._place[0], y - self._place[1]) for x, y in self._holes]
+        nearest = min(range(len(away)), key=away.__getitem__)
+        return nearest + 1 if away[nearest] < NEAR_HOLE else -1
 
     def _tell_state(self) -> None:
         state = self.hardware.safety.state
@@ -241,6 +285,12 @@ class HwNode(Node):
                 "sensor answers lost": hw.sensors.lost,
                 "sensor lines damaged": hw.sensors.damaged,
             }
+        if self._vision is not None:
+            sight = self._sight
+            values |= {
+                "camera frames": sight.frames if sight else 0, "camera losses": sight.losses if sight else 0,
+                "board seen": bool(sight and sight.board), "ball seen": bool(sight and sight.visible),
+            }  # fmt: skip
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
@@ -252,6 +302,9 @@ class HwNode(Node):
     def close(self) -> None:
         """Torque off, ports closed."""
         self._stop.set()
+        if self._vision is not None:
+            self._eyes.join(timeout=2.0)
+            self._vision.close()
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)
 

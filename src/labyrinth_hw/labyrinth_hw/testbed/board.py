@@ -16,6 +16,7 @@ class Belt:
 
     def __init__(self, q: SimpleNamespace) -> None:
         self.slack = 0.5 * q.play
+        self.slackless = not (q.play > 0).any()
         self.inner = np.zeros_like(q.play)
         self.inner_limit = q.belt_hysteresis / q.belt_hysteresis_stiffness
         self.shift = np.zeros_like(q.play)
@@ -31,8 +32,11 @@ class Belt:
         if self.crossed:
             pull, rate = pull + q.cross_axis * board[:, ::-1], rate + q.cross_axis * speed[:, ::-1]
         stretch, rate = pull - board, rate - speed
-        beyond = stretch - np.clip(stretch, -self.slack, self.slack)
-        torque = q.belt_stiffness * beyond + np.where(np.abs(stretch) >= self.slack, q.belt_damping * rate, 0.0)
+        if self.slackless:
+            torque = q.belt_stiffness * stretch + q.belt_damping * rate
+        else:
+            beyond = stretch - np.clip(stretch, -self.slack, self.slack)
+            torque = q.belt_stiffness * beyond + np.where(np.abs(stretch) >= self.slack, q.belt_damping * rate, 0.0)
         if self.hysteretic:
             # Prandtl's element: a spring that slips at the limit of its inner friction.
             self.inner = np.clip(self.inner + dt * rate, -self.inner_limit, self.inner_limit)
@@ -47,16 +51,26 @@ class Belt:
         return torque - (q.cross_axis * torque)[:, ::-1] if self.crossed else torque
 
 
-def board_speed(q: SimpleNamespace, angle: Array, speed: Array, belt: Array, dt: float) -> Array:
-    """Speed of the board, rad/s, one step later.
+class Board:
+    """What acts on the board besides the belt; forces that are nowhere at work are left out of the reckoning."""
 
-    Args:
-        angle, speed: rad, rad/s.
-        belt: N m of the belt and of whatever else pushes.
-    """
-    past = angle - np.clip(angle, -q.stop_angle, q.stop_angle)
-    torque = (
-        belt - q.gravity_moment * np.cos(angle) + q.gravity_height * np.sin(angle)
-        - q.return_spring * angle - q.stop_stiffness * past
-    )  # fmt: skip
-    return karnopp_step(speed, torque, q.board_inertia, q.board_friction, q.board_viscous, dt)
+    def __init__(self, q: SimpleNamespace) -> None:
+        self.unbalanced = bool((q.gravity_moment != 0).any() or (q.gravity_height != 0).any())
+        self.sprung = bool((q.return_spring != 0).any())
+        self.lowest_stop = float(q.stop_angle.min())
+
+    def speed(self, q: SimpleNamespace, angle: Array, speed: Array, push: Array, dt: float) -> Array:
+        """Speed of the board, rad/s, one step later.
+
+        Args:
+            angle, speed: rad, rad/s.
+            push: N m of the belt and of whatever else acts.
+        """
+        torque = push
+        if self.unbalanced:
+            torque = torque - q.gravity_moment * np.cos(angle) + q.gravity_height * np.sin(angle)
+        if self.sprung:
+            torque = torque - q.return_spring * angle
+        if np.abs(angle).max() > self.lowest_stop:
+            torque = torque - q.stop_stiffness * (angle - np.clip(angle, -q.stop_angle, q.stop_angle))
+        return karnopp_step(speed, torque, q.board_inertia, q.board_friction, q.board_viscous, dt)

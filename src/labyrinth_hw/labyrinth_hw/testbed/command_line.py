@@ -12,10 +12,13 @@ from pathlib import Path
 from types import FrameType
 
 from labyrinth_hw.errors import HardwareError, InputError
+from labyrinth_hw.links import default_link_dir
+from labyrinth_hw.priority import ask_for_priority
 from labyrinth_hw.testbed.hidden import TestbedConfig, listing, load_testbed
 from labyrinth_hw.testbed.layouts import load_layout
-from labyrinth_hw.testbed.live import FAULTS, LiveTestbed, default_link_dir
+from labyrinth_hw.testbed.live import FAULTS, LiveTestbed
 from labyrinth_hw.testbed.rig import LiveRig
+from labyrinth_hw.testbed.video_process import VideoProcess
 
 
 def parser() -> argparse.ArgumentParser:
@@ -42,6 +45,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--reveal", type=Path, metavar="FILE", help="write what is hidden to this JSON file")
     p.add_argument("--link-dir", type=Path, help=f"folder of the links to the ports (default: {default_link_dir()})")
     p.add_argument("--baud", type=int, help="speed that the servo bus imitates (default: the config's)")
+    p.add_argument("--video", type=int, nargs="?", const=0, metavar="PORT", help="stream the camera; 0: any free port")
+    p.add_argument("--video-rate", type=float, default=30.0, help="pictures per second (default: 30)")
     p.add_argument("--bag", type=Path, metavar="FOLDER", help="no ports: play --commands at once and write this bag")
     p.add_argument("--commands", type=Path, metavar="CSV", help="columns time, motor_x, motor_y (s, rad); for --bag")
     p.add_argument("--trials", type=int, default=5, help="of the commands, for --bag (default: 5)")
@@ -64,7 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
         if given.bag is not None:
             offline(loaded, given.bag, given.commands, given.trials, seed, given.with_ball)
             return
-        run(loaded, given.link_dir or default_link_dir(), given.baud or loaded.baud, seed, given.duration)
+        run(loaded, given, given.link_dir or default_link_dir(), seed)
     except (InputError, HardwareError) as error:
         print(f"testbed: {error}", file=sys.stderr)
         raise SystemExit(2) from error
@@ -96,7 +101,7 @@ def offline(loaded: TestbedConfig, bag: Path, commands: Path | None, trials: int
     print(f"bag: {write_bag(bag, result, commands.stem, digest)}", flush=True)
 
 
-def run(loaded: TestbedConfig, link_dir: Path, baud: int, seed: int, duration: float | None) -> None:
+def run(loaded: TestbedConfig, given: argparse.Namespace, link_dir: Path, seed: int) -> None:
     """Serve the ports until told to stop."""
     stop: list[int] = []
 
@@ -105,27 +110,45 @@ def run(loaded: TestbedConfig, link_dir: Path, baud: int, seed: int, duration: f
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, told)
-    rig = LiveRig(loaded.reality, loaded.servo, seed, time.monotonic())
-    testbed = LiveTestbed(rig, link_dir, baud, loaded.sensor_baud, seed)
-    end = time.monotonic() + duration if duration is not None else float("inf")
-    open_input = [True]
+    baud = given.baud or loaded.baud
+    layout = load_layout(loaded.layout) if given.video is not None else None
+    rig = LiveRig(loaded.reality, loaded.servo, seed, time.monotonic(), layout)
+    video = VideoProcess(loaded.layout, given.video, given.video_rate, seed) if given.video is not None else None
+    testbed = LiveTestbed(rig, link_dir, baud, loaded.sensor_baud, seed, video)
+    end = time.monotonic() + given.duration if given.duration is not None else float("inf")
+    lines = InputLines()
 
     def orders(now: float) -> None:
-        if open_input[0] and select.select([sys.stdin], [], [], 0)[0]:
-            line = sys.stdin.readline()
-            if not line:
-                open_input[0] = False
-            elif line.split():
-                print(testbed.fault(line.split()), flush=True)
+        for line in lines.new():
+            print(testbed.fault(line.split()), flush=True)
 
     for name, line in testbed.lines.items():
         print(f"{name}: {line.port.link}", flush=True)
+    if video is not None:
+        print(f"camera: {video.url}", flush=True)
     print(f"testbed: {loaded.servo.name}, protocol {loaded.servo.protocol}.0, {baud} baud; Ctrl-C ends it", flush=True)
+    ask_for_priority()
     try:
         testbed.spin(lambda: bool(stop) or time.monotonic() >= end, orders)
     finally:
         testbed.close()
         print(f"testbed: stopped; {testbed.bus.received} packets; {rig.skipped:.2f} s of physics skipped", flush=True)
+
+
+class InputLines:
+    """Lines of standard input, without ever waiting for one."""
+
+    def __init__(self) -> None:
+        self._open, self._rest = sys.stdin is not None, b""
+
+    def new(self) -> list[str]:
+        """Lines that came since the last call, without empty ones."""
+        if not self._open or not select.select([sys.stdin], [], [], 0)[0]:
+            return []
+        data = os.read(sys.stdin.fileno(), 4096)
+        self._open = bool(data)
+        *whole, self._rest = (self._rest + data).split(b"\n")
+        return [text for line in whole if (text := line.decode(errors="replace").strip())]
 
 
 def _without_ros(arguments: list[str]) -> list[str]:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from labyrinth_hw.testbed.board import Belt, board_speed
+from labyrinth_hw.testbed.board import Belt, Board
 from labyrinth_hw.testbed.friction import LuGre, cogging, karnopp_step, level
 from labyrinth_hw.testbed.history import History
 from labyrinth_hw.testbed.parameters import Array
@@ -19,6 +19,7 @@ DT = 0.0005
 CONTROL_EVERY = 2
 PERIOD = DT * CONTROL_EVERY
 LONGEST_DELAY = 0.4
+VARYING = ("static", "load_friction", "direction_friction", "thermal_friction")
 
 
 class Plant:
@@ -36,7 +37,7 @@ class Plant:
         self.servo_speed = np.zeros_like(self.servo)
         self.board = q.ratio * self.servo
         self.board_speed = np.zeros_like(self.servo)
-        self.belt = Belt(q)
+        self.belt, self.tilting = Belt(q), Board(q)
         self.belt_torque = np.zeros_like(self.servo)
         self.motor = Motor(q)
         self.firmware = Firmware(q, self.servo, PERIOD)
@@ -49,6 +50,8 @@ class Plant:
         self._cogs = bool((q.cogging != 0).any())
         self._errs = bool((q.error_amplitude != 0).any() or (q.error_slope != 0).any())
         self._warms = bool((q.thermal_warmup != 0).any())
+        self._rubs = any(bool((getattr(q, name) != 0).any()) for name in VARYING)
+        self._all_on = True
         self._lags = bool((q.encoder_lag > 0).any() or (q.pot_lag > 0).any())
         self._softening = np.ones_like(self.servo)
         self._drift = np.zeros_like(self.servo)
@@ -111,19 +114,23 @@ class Plant:
         self.firmware.update(
             self.q, self._goals.held(self.delay), self._measured(), self.servo_speed, self.motor.supply
         )
-        self.firmware.duty = np.where(self.torque_on, self.firmware.duty, 0.0)
+        self._all_on = bool(self.torque_on.all())
+        if not self._all_on:
+            self.firmware.duty = np.where(self.torque_on, self.firmware.duty, 0.0)
 
     def _move(self) -> None:
         q, dt = self.q, DT
         self.belt_torque = self.belt.torque(q, self.servo, self.servo_speed, self.board, self.board_speed, dt)
         pull = self.belt.on_board(q, self.belt_torque) + self.push
-        self.board_speed = board_speed(q, self.board, self.board_speed, pull, dt)
+        self.board_speed = self.tilting.speed(q, self.board, self.board_speed, pull, dt)
         load = q.ratio * self.belt_torque
-        drive = np.where(self.torque_on, self.motor.torque(q, self.firmware.duty, self.servo_speed), 0.0)
+        drive = self.motor.torque(q, self.firmware.duty, self.servo_speed)
+        if not self._all_on:
+            drive = np.where(self.torque_on, drive, 0.0)
         torque = drive - load
         if self._cogs:
             torque = torque + cogging(q, self.servo)
-        dry = level(q, self.servo_speed, drive + load, self._softening)
+        dry = level(q, self.servo_speed, drive + load, self._softening) if self._rubs else q.coulomb
         if self.lugre.any:
             torque = torque - self.lugre.torque(q, self.servo_speed, dry, dt)
             dry = np.where(self.lugre.active, 0.0, dry)

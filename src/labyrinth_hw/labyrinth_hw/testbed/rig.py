@@ -5,10 +5,12 @@ import numpy as np
 
 from labyrinth_hw.control_tables import ServoModel
 from labyrinth_hw.sensor_protocol import SensorSample
+from labyrinth_hw.testbed.ball import Ball
 from labyrinth_hw.testbed.parameters import Reality, stack
 from labyrinth_hw.testbed.plant import PERIOD, Plant
 from labyrinth_hw.testbed.servo import quantised
 from labyrinth_hw.testbed.servo_emulator import EmulatedServo
+from labyrinth_hw.testbed.video_scene import Layout, Scene
 
 POT_ZERO = 32768
 POT_SCALE = 2.0e-5  # rad per count
@@ -25,14 +27,19 @@ class LiveRig:
         model: both servos' control table; ids 1 (x) and 2 (y).
         seed: of its noise.
         now: s, the clock's reading at the start.
+        layout: walls and holes; None is a rig without a ball.
     """
 
-    def __init__(self, reality: Reality, model: ServoModel, seed: int, now: float) -> None:
+    def __init__(
+        self, reality: Reality, model: ServoModel, seed: int, now: float, layout: Layout | None = None
+    ) -> None:
         self.q = stack([reality])
         self.plant = Plant(self.q, np.zeros((1, 2)))
         self.servos = [EmulatedServo(model, 1), EmulatedServo(model, 2)]
         self.rng = np.random.default_rng(seed)
         self.skipped = 0.0
+        self.layout = layout
+        self.ball = Ball(self.q, layout, np.array([layout.path[0]])) if layout is not None else None
         self.piezo = self.depot = self._sequence = 0
         self._start, self._goals = now, [servo.raw("goal_position") for servo in self.servos]
         self._overload, self._brownout = np.zeros(2), np.zeros(2)
@@ -52,6 +59,7 @@ class LiveRig:
                 self._noise_due = self.plant.time + 0.01
             self._take_goals()
             self.plant.advance(periods)
+            self._roll(periods)
             self._watch(periods * PERIOD)
             behind -= periods * PERIOD
 
@@ -76,6 +84,30 @@ class LiveRig:
             bits |= 0x01 if self._brownout[a] > BROWNOUT_TIME else 0
             if bits & ~servo.alarm:
                 servo.raise_alarm(bits)
+
+    def _roll(self, periods: int) -> None:
+        if self.ball is None:
+            return
+        for _ in range(-(-periods // 2)):
+            before = bool(self.ball.lost[0])
+            self.ball.step(self.plant.board, 2 * PERIOD if periods > 1 else PERIOD)
+            self.piezo += bool(self.ball.lost[0]) and not before
+
+    def supply_ball(self) -> None:
+        """The depot releases a ball, which comes to rest at the start."""
+        self.depot += 1
+        if self.ball is not None and self.layout is not None:
+            self.ball.place(0, np.array(self.layout.path[0]))
+
+    def scene(self, covered: bool) -> Scene:
+        """What the camera sees now."""
+        tilt = (float(self.plant.board[0, 0]), float(self.plant.board[0, 1]))
+        if self.ball is None or self.layout is None or self.ball.lost[0]:
+            return Scene(tilt=tilt, lens_covered=covered)
+        centre = 0.5 * np.array(self.layout.board)
+        x, y = centre + self.q.camera_scale[0, 0] * (self.ball.position[0] - centre)
+        vx, vy = self.ball.speed[0]
+        return Scene((float(x), float(y)), (float(vx), float(vy)), tilt, lens_covered=covered)
 
     def refresh(self) -> None:
         """Write what the servos measure now into their registers."""
