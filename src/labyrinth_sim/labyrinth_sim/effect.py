@@ -148,6 +148,8 @@ class Drive:
             control is the target.
         supply: scales the axis's strength by (nsim,) while stepping, as a sagging supply does; gets the base fields.
         strength: model fields that `supply` writes.
+        free: parameters that a calibration fits unless told otherwise, `joint.armature` being the shaft's; empty for
+            all.
     """
 
     name: str
@@ -161,6 +163,13 @@ class Drive:
     strength: tuple[str, ...] = ("actuator_forcerange",)
     target: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
     controller: "Callable[[Values, float], Controller] | None" = None
+    free: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = [p.name for p in self.parameters]
+        wrong = [unknown_name("parameter", name, known) for name in self.free if name not in (*known, "joint.armature")]
+        if wrong:
+            raise InputError([f"Drive {self.name}, free: {text}" for text in wrong])
 
 
 def effects(folder: Path | str | None = None) -> dict[str, Effect]:

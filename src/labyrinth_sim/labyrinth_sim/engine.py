@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one engine under batches and the live node: many simulations of one plan, a sample at a time."""
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,9 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Measured
 from labyrinth_sim.site import Site, ball_site
 from labyrinth_sim.trials import Array
+
+# MuJoCo would otherwise write its warnings to a file in the working folder; `Engine.check` reports what they are about.
+mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
 
 LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import pytest
 
@@ -85,7 +86,7 @@ def test_the_node_obeys_changes_its_model_and_leaves_cleanly(watcher: Watcher) -
         watcher.until(lambda: len(watcher.states) > 20 and len(watcher.balls) > 20)
         assert set(watcher.states[-1].name) == {"motor_x", "motor_y", "board_x", "board_y"}
         stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in watcher.states]
-        assert {round((b - a) / 1e6) for a, b in zip(stamps, stamps[1:], strict=False)} == {10}
+        assert {round((b - a) / 1e6) for a, b in pairwise(stamps)} == {10}
         watcher.commands.publish(JointState(name=["motor_x"], position=[0.03]))
         watcher.until(lambda: abs(watcher.angle("board_x") - 0.03) < 1e-3)
         refused = watcher.call(labyrinth_msgs.LoadModel, "/sim/load_model", model="labyrinth_manuel")

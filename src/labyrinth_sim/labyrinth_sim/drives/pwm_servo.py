@@ -73,4 +73,5 @@ DRIVE = Drive(
     target=target,
     supply=supply,
     strength=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+    free=("resistance", "torque_constant", "joint.armature", "delay"),
 )

@@ -50,4 +50,5 @@ DRIVE = Drive(
     fields=fields,
     target=target,
     supply=supply,
+    free=("stiffness", "damping", "delay"),
 )

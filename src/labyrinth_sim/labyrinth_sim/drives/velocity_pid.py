@@ -11,6 +11,7 @@ from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
 REFERENCE_STEP = 0.01  # s; the paper samples at 100 Hz
+FASTEST = 1e4  # rad/s; far beyond, the torque is saturated anyway, and MuJoCo takes huge controls for errors
 
 
 class VelocityPid:
@@ -30,7 +31,7 @@ class VelocityPid:
         self.sum = self.sum + error * self.step
         speed = self.p * error + self.i * self.sum + self.d * (error - self.last)
         self.last = error
-        return speed
+        return np.clip(speed, -FASTEST, FASTEST)
 
     def restart(self, which: Array) -> None:
         self.sum = np.where(which, 0.0, self.sum)
@@ -80,4 +81,5 @@ DRIVE = Drive(
     target=target,
     controller=VelocityPid,
     supply=supply,
+    free=("p", "i", "d", "delay"),
 )
