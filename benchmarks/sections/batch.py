@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps per second of the batch against mj_step in a C loop on as many cores, and how it depends on the batch's size."""
+"""Steps per second of the batch against mj_step in a C loop on as many cores, and by size of batch."""
 
 import os
 import resource

@@ -184,6 +184,17 @@ def effects(folder: Path | str | None = None) -> dict[str, Effect]:
     return _library("labyrinth_sim.effects", "EFFECT", Effect, folder or os.environ.get(FOLDER_VARIABLE))
 
 
+def rivals(name: str, library: Mapping[str, Effect] | None = None) -> frozenset[str]:
+    """Effects that one can be mistaken for, whichever of the two declares it.
+
+    Raises:
+        InputError: unknown name.
+    """
+    known = effects() if library is None else library
+    own: Effect = named("effect", name, known)
+    return frozenset(own.confused_with) | {other.name for other in known.values() if name in other.confused_with}
+
+
 def drives(folder: Path | str | None = None) -> dict[str, Drive]:
     """Every kind of drive by name; found as effects are, in `drives/` and entry points `labyrinth_sim.drives`."""
     return _library("labyrinth_sim.drives", "DRIVE", Drive, folder or os.environ.get("EPS_TUNNEL_DRIVES"))

@@ -12,7 +12,7 @@ from labyrinth_sim.engine import Engine, command_filters, first_state, measure_f
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import PLAIN, Model
 from labyrinth_sim.rig import BALL_SIGNALS
-from labyrinth_sim.trials import Array, Trials, locked
+from labyrinth_sim.trials import Array, Trials
 
 CHUNK = 4096  # simulations stepped together; bounds the memory of a large batch
 CHECK_EVERY = 50  # samples between looks for simulations that diverged
@@ -104,6 +104,7 @@ def simulate_batch(
     initial: Mapping[str, ArrayLike] | None = None,
     *,
     per_command: Mapping[str, ArrayLike] | None = None,
+    signals: Sequence[str] | None = None,
     with_ball: bool | None = None,
     timestep: float | None = None,
     nthread: int = 0,
@@ -119,6 +120,7 @@ def simulate_batch(
         commands: (c, T, u) rad, held from each sample to the next; NaN where the drive is off.
         initial: signal -> (c,) at the first sample, NaN where unknown.
         per_command: full parameter name -> (c,), for what is known to differ between commands, as a gain set by hand.
+        signals: to return, in this order; all of the rig if None.
         with_ball: None simulates the ball where `initial` says where it is.
         timestep: s, MuJoCo's own step; rounded so that samples are whole numbers of steps.
         nthread: 0 for one per CPU.
@@ -134,9 +136,12 @@ def simulate_batch(
     n, c = len(table), len(block)
     step = float((grid[-1] - grid[0]) / (len(grid) - 1))
     plan = compiled(model, ball, even_timestep(step, timestep, model, ball))
-    signals = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if ball else ())
-    units = model.rig.units[: len(signals)]
-    out = np.empty((n * c, len(grid), len(signals)))
+    every = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if ball else ())
+    unseen = [unknown_name("simulated signal", name, every) for name in signals or () if name not in every]
+    if unseen:
+        raise InputError(unseen)
+    columns = [every.index(name) for name in (every if signals is None else signals)]
+    out = np.empty((n * c, len(grid), len(columns)))
     messages: dict[tuple[int, int], str] = {}
     steps = 0
     for low in range(0, n * c, CHUNK):
@@ -147,7 +152,7 @@ def simulate_batch(
         numbers |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
         first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays] for name, v in (initial or {}).items()}
         engine = Engine(model, plan, numbers, len(which), step, nthread)
-        out[which] = _roll_out(model, plan, engine, numbers, step, block[plays], first)
+        out[which] = _roll_out(model, plan, engine, numbers, step, block[plays], first)[:, :, columns]
         out[which[engine.failed]] = np.nan
         messages |= {(int(sets[i]), int(plays[i])): text for i, text in engine.messages.items()}
         steps += len(which) * engine.substeps * (len(grid) - 1)
@@ -156,7 +161,10 @@ def simulate_batch(
     failed = np.zeros((n, c), dtype=bool)
     for where in messages:
         failed[where] = True
-    return BatchResult(signals, units, locked(out.reshape(n, c, len(grid), -1)), failed, messages, steps)
+    out = out.reshape(n, c, len(grid), len(columns))
+    out.setflags(write=False)
+    chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
+    return BatchResult(chosen, units, out, failed, messages, steps)
 
 
 def _roll_out(
@@ -223,11 +231,17 @@ def _check(
     if table.ndim != 2 or table.shape[1] != len(names):
         complaints.append(f"values must have shape (n, {len(names)}), got {table.shape}.")
     elif not complaints:
-        for column, name in enumerate(names):
-            info, numbers = known[name], table[:, column]
+        tried = {name: table[:, column] for column, name in enumerate(names)}
+        tried |= {name: np.asarray(given, float) for name, given in (per_command or {}).items()}
+        for name, numbers in tried.items():
+            info = known[name]
             bad = numbers[~((numbers >= info.low) & (numbers <= info.high))]
             if bad.size:
                 complaints.append(f"{name} must lie within [{info.low:g}, {info.high:g}] {info.unit}, got {bad[0]:g}.")
+    for name, given in (per_command or {}).items():
+        if np.shape(given) != block.shape[:1]:
+            complaints.append(f"per_command['{name}'] must have shape ({len(block)},), got {np.shape(given)}.")
+    complaints += [f"{n} is in both names and per_command; give it once." for n in names if n in (per_command or {})]
     u = len(model.rig.axes)
     if grid.ndim != 1 or len(grid) < 2 or not np.allclose(np.diff(grid), np.diff(grid).mean(), rtol=1e-6, atol=1e-9):
         complaints.append(f"time must be (T,) with T >= 2 even steps, got shape {grid.shape}. Resample first.")

@@ -93,3 +93,22 @@ def test_all_complaints_come_at_once(model: Model, commands: np.ndarray) -> None
         simulate_batch(model, ["drive.x.q", "drive.z.p"], [[1.0, 2.0]], TIME, commands[None, :, :1], {"motor_z": 0.0})
     assert len(caught.value.complaints) == 4
     assert "drive.x.p" in str(caught.value)
+
+
+def test_a_value_known_per_command_is_that_commands(model: Model, commands: np.ndarray) -> None:
+    both = simulate_batch(model, (), np.empty((1, 0)), TIME, [commands] * 2, per_command={"drive.x.p": [6.0, 12.0]})
+    for i, p in enumerate((6.0, 12.0)):
+        alone = simulate(model.with_values({"drive.x.p": p}), TIME, commands)
+        assert np.array_equal(both.values[0, i], alone.values[0])
+    with pytest.raises(InputError, match=r"shape \(2,\)"):
+        simulate_batch(model, (), np.empty((1, 0)), TIME, [commands] * 2, per_command={"drive.x.p": [6.0]})
+
+
+def test_chosen_signals_are_those_of_all(model: Model, commands: np.ndarray) -> None:
+    every = simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None])
+    two = simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None], signals=["board_y", "motor_x"])
+    assert two.signals == ("board_y", "motor_x")
+    for column, name in enumerate(two.signals):
+        assert np.array_equal(two.values[..., column], every.values[..., every.signals.index(name)])
+    with pytest.raises(InputError, match="ball_x"):
+        simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None], signals=["ball_x"])
