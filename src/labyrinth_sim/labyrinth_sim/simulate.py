@@ -161,10 +161,10 @@ def simulate_batch(
     failed = np.zeros((n, c), dtype=bool)
     for where in messages:
         failed[where] = True
-    out = out.reshape(n, c, len(grid), len(columns))
-    out.setflags(write=False)
+    seen: Array = out.reshape(n, c, len(grid), len(columns))
+    seen.setflags(write=False)
     chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
-    return BatchResult(chosen, units, out, failed, messages, steps)
+    return BatchResult(chosen, units, seen, failed, messages, steps)
 
 
 def _roll_out(

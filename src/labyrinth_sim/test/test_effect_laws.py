@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws that every effect obeys; none is named here."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from labyrinth_sim.marks import MARKS, Pair
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import simulate_batch
+from labyrinth_sim.stepper import Stepper
 
 EVERY = tuple(effects().values())
 STEP = 0.01
@@ -29,13 +30,21 @@ class Scene:
     def time(self) -> np.ndarray:
         return np.arange(len(self.commands)) * STEP
 
-    def play(self, model: Model, names: tuple[str, ...] = (), values: np.ndarray | None = None) -> np.ndarray:
+    def play(
+        self, model: Model, names: tuple[str, ...] = (), values: np.ndarray | None = None, nthread: int = 0
+    ) -> np.ndarray:
         """(n, T, m) for n parameter sets."""
         table = np.empty((1, 0)) if values is None else values
-        step = None if self.start else 0.005  # coarse, to be quick; a ball needs its own
-        result = simulate_batch(model, names, table, self.time, self.commands[None], self.start, timestep=step)
+        result = simulate_batch(
+            model, names, table, self.time, self.commands[None], self.start, timestep=self.timestep, nthread=nthread
+        )
         assert not result.failed.any(), result.messages
         return np.asarray(result.values[:, 0])
+
+    @property
+    def timestep(self) -> float | None:
+        """s; coarse, to be quick, but for the ball."""
+        return None if self.start else 0.005
 
     def column(self, place: str) -> int:
         """Of the signal that shows an effect at a place best: the load of an axis, the signal itself, the ball."""
@@ -94,7 +103,7 @@ def test_off_changes_no_bit(effect: Effect, scenes: dict[str, Scene], without: d
         assert np.array_equal(scene.play(scene.model.with_effect(effect, place, effect.off))[0], without[home(effect)])
 
 
-def test_one_size_over_the_bounds(effect: Effect, scenes: dict[str, Scene]) -> None:
+def test_one_size_over_the_bounds_at_any_number_of_threads(effect: Effect, scenes: dict[str, Scene]) -> None:
     scene = scenes[home(effect)]
     place = scene.model.places(effect)[0]
     model = scene.model.with_effect(effect, place)
@@ -102,7 +111,18 @@ def test_one_size_over_the_bounds(effect: Effect, scenes: dict[str, Scene]) -> N
     ends = np.array([[p.low for p in effect.parameters], [p.high for p in effect.parameters]])
     plans = [compiled(model.with_values(dict(zip(names, end, strict=True))), home(effect) == "ball") for end in ends]
     assert plans[0] is plans[1]
-    assert np.isfinite(scene.play(model, names, ends)).all()
+    played = scene.play(model, names, ends, nthread=1)
+    assert np.isfinite(played).all()
+    assert np.array_equal(played, scene.play(model, names, ends, nthread=3))
+
+
+def test_the_live_stepper_is_the_batch(effect: Effect, scenes: dict[str, Scene]) -> None:
+    scene = scenes[home(effect)]
+    model = scene.model.with_effect(effect, scene.model.places(effect)[0])
+    short = replace(scene, commands=scene.commands[150:300])
+    stepper = Stepper(model, step=STEP, with_ball=home(effect) == "ball", timestep=scene.timestep)
+    live = [stepper.reset(short.start)] + [stepper.advance(command) for command in short.commands[:-1]]
+    assert np.array_equal(short.play(model)[0], np.array(live))
 
 
 def test_the_declared_mark_shows(effect: Effect, scenes: dict[str, Scene], without: dict[str, np.ndarray]) -> None:
