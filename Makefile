@@ -68,15 +68,16 @@ clean: ## remove what setup made; recordings and reports in out/ stay
 
 .venv/.installed: $(REQUIREMENTS) tools/check_machine.py
 	@$(PYTHON) tools/check_machine.py
-	@echo "setup 1/2: libraries into .venv"
+	@echo "setup 1/2: libraries into .venv, about two minutes"
 	@if [ ! -x .venv/bin/python ]; then $(PYTHON) -m venv $(VENV_OPTIONS) .venv; fi
 	@touch .venv/COLCON_IGNORE
 	@env -u LD_LIBRARY_PATH -u PYTHONPATH -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
-	    .venv/bin/python -m pip install --no-input $(addprefix -r ,$(REQUIREMENTS))
+	    .venv/bin/python -m pip install --no-input $(addprefix -r ,$(REQUIREMENTS)) 2>&1 \
+	    | sed -un 's/^Collecting \([^][ ;=~<>(]*\).*/  \1/p; s/^Installing collected.*/  installing them/p; /^ERROR/p'
 	@touch $@
 
 install/.built: .venv/.installed $(MESSAGES) $(MANIFESTS) $(DATA)
-	@echo "setup 2/2: workspace into install"
+	@echo "setup 2/2: workspace into install, about a minute"
 	@source ./env.bash underlay && $(COLCON) build --symlink-install --base-paths src \
 	    --event-handlers console_direct- console_cohesion- desktop_notification- \
 	    --cmake-args -DPython3_EXECUTABLE="$$(command -v python)"
