@@ -5,14 +5,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 
 from labyrinth_sim.effect import Drive, Effect
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.model import PLAIN, Model
+from labyrinth_sim.parts import PLAIN
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.site import Site, axis_site, ball_site
+
+if TYPE_CHECKING:
+    from labyrinth_sim.model import Model
 
 # MuJoCo's friction is a soft constraint: at the default impedance a joint held by friction creeps.
 FRICTION_IMPEDANCE = [0.9999, 0.9999, 0.001, 0.5, 2.0]
@@ -37,7 +41,7 @@ class Plan:
     with_ball: bool
 
 
-def compiled(model: Model, with_ball: bool, timestep: float | None = None) -> Plan:
+def compiled(model: "Model", with_ball: bool, timestep: float | None = None) -> Plan:
     """Compiles a model's structure.
 
     Args:

@@ -2,7 +2,6 @@
 """A model of a rig: its drives, its effects, and the value of everything. Read from config/models/NAME.yaml."""
 
 import contextlib
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,65 +9,22 @@ from typing import Any
 
 import yaml
 
+from labyrinth_sim.build import compiled, mjcf_quantities
 from labyrinth_sim.config import find
-from labyrinth_sim.effect import Drive, Effect, Parameter, drives, effects
+from labyrinth_sim.effect import Effect, Parameter, effects
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.model_yaml import plain_values, read_drives, read_effects, read_value
+from labyrinth_sim.parts import (
+    PLAIN,
+    DriveUse,
+    EffectUse,
+    ParameterInfo,
+    Value,
+    check_bounds,
+    effect_complaints,
+    places,
+)
 from labyrinth_sim.rig import Rig, load_rig, read_yaml
-
-PLAIN = {
-    "joint": (
-        Parameter("armature", "kg m^2", 1e-6, 0.2, None, 0.01, "rotor and gear of servos up to 10 N m"),
-        Parameter("damping", "N m s/rad", 0.0, 5.0, None, 0.01, "hobby servos stay below"),
-        Parameter("frictionloss", "N m", 0.0, 2.0, None, 0.01, "hobby servos stay below"),
-    ),
-    "body": (Parameter("mass", "kg", 1e-4, 10.0, None, 0.1, "what such rigs carry; the inertia scales with it"),),
-}
-"""Plain MJCF quantities that can be set and fitted, as `joint.motor_x.armature`."""
-
-
-@dataclass(frozen=True)
-class Value:
-    """A number, its unit, and where it came from."""
-
-    value: float
-    unit: str
-    source: str
-
-
-@dataclass(frozen=True)
-class ParameterInfo:
-    """One number of a model that can be set or fitted.
-
-    `off` is the value at which its effect vanishes, None where there is no such value; `default` what holds where the
-    model says nothing.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    off: float | None
-    default: float
-    value: float
-    source: str
-    why: str
-
-
-@dataclass(frozen=True)
-class DriveUse:
-    """The drive of one axis, with values by parameter name."""
-
-    kind: Drive
-    values: Mapping[str, Value]
-
-
-@dataclass(frozen=True)
-class EffectUse:
-    """An effect at one place: an axis, a measured position, or "ball"."""
-
-    effect: Effect
-    place: str
-    values: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -111,8 +67,6 @@ class Model:
             yield _info(name, p, default, self.quantities.get(name))
 
     def _plain(self) -> dict[str, tuple[Parameter, float]]:
-        from labyrinth_sim.build import mjcf_quantities
-
         return {name: (PLAIN[name.split(".")[0]][index], value) for name, index, value in mjcf_quantities(self.rig)}
 
     def values(self) -> dict[str, float]:
@@ -193,41 +147,6 @@ class Model:
         return library[effect]
 
 
-def places(rig: Rig, effect: Effect) -> tuple[str, ...]:
-    """Where an effect can act on a rig."""
-    if effect.where == "ball":
-        return ("ball",) if rig.ball else ()
-    if effect.where == "signal":
-        return tuple(m.signal for m in rig.measured if m.quantity == "position")
-    if "ball" in effect.needs and rig.ball is None:
-        return ()
-    if "other_axis" in effect.needs and len(rig.axes) < 2:
-        return ()
-    return tuple(axis.name for axis in rig.axes if axis.belt or "belt" not in effect.needs)
-
-
-def effect_complaints(rig: Rig, effect: Effect, place: str) -> list[str]:
-    """Why an effect cannot act at a place of a rig; empty if it can."""
-    valid = places(rig, effect)
-    if place in valid:
-        return []
-    if not valid:
-        lacks = (
-            "no ball"
-            if effect.where == "ball" or "ball" in effect.needs
-            else f"nothing for it to act on (it needs {', '.join(effect.needs)})"
-        )
-        return [f"{effect.name} cannot act on rig '{rig.name}': the rig has {lacks}."]
-    return [f"{effect.name} acts on each {effect.where}. {unknown_name(effect.where, place, valid)}"]
-
-
-def check_bounds(name: str, p: Parameter | ParameterInfo, number: float) -> list[str]:
-    """A complaint where a number is out of bounds."""
-    if math.isfinite(number) and p.low <= number <= p.high:
-        return []
-    return [f"{name} must lie within [{p.low:g}, {p.high:g}] {p.unit} ({p.why}), got {number:g}."]
-
-
 def _info(name: str, p: Parameter, default: float, value: Value | None) -> ParameterInfo:
     set_to = value or Value(default, p.unit, "default")
     return ParameterInfo(name, p.unit, p.low, p.high, p.off, default, set_to.value, set_to.source, p.why)
@@ -260,8 +179,8 @@ def load_model(name: str | Path, effects_folder: Path | str | None = None) -> Mo
     model = Model(
         name=str(data["name"]),
         rig=rig,
-        drives=dict(_drives(path, rig, data["drives"], complaints)),
-        effects=tuple(_effects(path, rig, data.get("effects") or [], effects(effects_folder), complaints)),
+        drives=dict(read_drives(path, rig, data["drives"], complaints)),
+        effects=tuple(read_effects(path, rig, data.get("effects") or [], effects(effects_folder), complaints)),
         description=str(data.get("description", "")),
         provenance=data.get("provenance") or {},
         path=path,
@@ -273,11 +192,9 @@ def load_model(name: str | Path, effects_folder: Path | str | None = None) -> Mo
             if full not in plain:
                 complaints.append(f"{path}: {unknown_name('quantity', full, plain)}")
             else:
-                value = _value(f"{path}: {full}", plain[full][0], entry, complaints)
+                value = read_value(f"{path}: {full}", plain[full][0], entry, complaints)
                 quantities |= {full: value} if value else {}
         if not complaints:
-            from labyrinth_sim.build import compiled
-
             model = replace(model, quantities=quantities)
             compiled(model, with_ball=bool(rig.ball))
     except InputError as error:
@@ -285,85 +202,6 @@ def load_model(name: str | Path, effects_folder: Path | str | None = None) -> Mo
     if complaints:
         raise InputError(complaints)
     return model
-
-
-def _drives(path: Path, rig: Rig, data: Any, complaints: list[str]) -> Iterator[tuple[str, DriveUse]]:
-    library = drives()
-    names = [axis.name for axis in rig.axes]
-    if not isinstance(data, dict):
-        complaints.append(f"{path}: 'drives' must be a mapping from axis to drive, got {data!r}.")
-        return
-    complaints += [f"{path}: {unknown_name('axis', key, names)}" for key in data if key not in names]
-    for axis in names:
-        entry = data.get(axis)
-        if not isinstance(entry, dict) or "kind" not in entry:
-            complaints.append(f"{path}: drives.{axis} needs a 'kind' (one of {', '.join(library)}) and 'values'.")
-        elif entry["kind"] not in library:
-            complaints.append(f"{path}: drives.{axis}: {unknown_name('drive', str(entry['kind']), library)}")
-        else:
-            kind = library[entry["kind"]]
-            where = f"{path}: drive.{axis}"
-            yield axis, DriveUse(kind, _values(where, kind.parameters, entry.get("values") or {}, complaints))
-
-
-def _effects(
-    path: Path, rig: Rig, data: Any, library: Mapping[str, Effect], complaints: list[str]
-) -> Iterator[EffectUse]:
-    if not isinstance(data, list):
-        complaints.append(f"{path}: 'effects' must be a list, got {data!r}.")
-        return
-    seen: set[tuple[str, str]] = set()
-    for entry in data:
-        if (
-            not isinstance(entry, dict)
-            or set(entry) - {"name", "place", "values"}
-            or not {"name", "place"} <= set(entry)
-        ):
-            complaints.append(f"{path}: an effect needs name, place and values, got {entry!r}.")
-            continue
-        name, place = str(entry["name"]), str(entry["place"])
-        if name not in library:
-            complaints.append(f"{path}: {unknown_name('effect', name, library)}")
-            continue
-        complaints += [f"{path}: {c}" for c in effect_complaints(rig, library[name], place)]
-        if (name, place) in seen:
-            complaints.append(f"{path}: {name} occurs twice at '{place}'.")
-        seen.add((name, place))
-        where = f"{path}: {name}.{place}"
-        yield EffectUse(
-            library[name], place, _values(where, library[name].parameters, entry.get("values") or {}, complaints)
-        )
-
-
-def _values(where: str, declared: tuple[Parameter, ...], data: Any, complaints: list[str]) -> dict[str, Value]:
-    by_name = {p.name: p for p in declared}
-    found = {}
-    if not isinstance(data, dict):
-        complaints.append(f"{where}: values must be a mapping, got {data!r}.")
-        return {}
-    for name, entry in data.items():
-        if name not in by_name:
-            complaints.append(f"{where}: {unknown_name('parameter', str(name), by_name)}")
-            continue
-        value = _value(f"{where}.{name}", by_name[name], entry, complaints)
-        if value:
-            found[name] = value
-    return found
-
-
-def _value(where: str, p: Parameter, entry: Any, complaints: list[str]) -> Value | None:
-    if not isinstance(entry, dict) or set(entry) != {"value", "unit", "from"}:
-        complaints.append(f"{where} needs value, unit and from, got {entry!r}.")
-        return None
-    found = []
-    if str(entry["unit"]) != p.unit:
-        found.append(f"{where} must be given in {p.unit}, got unit '{entry['unit']}'. Convert the value.")
-    if not isinstance(entry["value"], int | float) or isinstance(entry["value"], bool):
-        found.append(f"{where} must be a number, got {entry['value']!r}.")
-    else:
-        found += check_bounds(where, p, float(entry["value"]))
-    complaints += found
-    return None if found else Value(float(entry["value"]), p.unit, str(entry["from"]))
 
 
 def save_model(model: Model, path: Path) -> Path:
@@ -378,12 +216,12 @@ def save_model(model: Model, path: Path) -> Path:
     data: dict[str, Any] = {"name": path.stem, "rig": rig}
     if model.description:
         data["description"] = model.description
-    data["drives"] = {a: {"kind": d.kind.name, "values": _plain_values(d.values)} for a, d in model.drives.items()}
+    data["drives"] = {a: {"kind": d.kind.name, "values": plain_values(d.values)} for a, d in model.drives.items()}
     data["effects"] = [
-        {"name": u.effect.name, "place": u.place, "values": _plain_values(u.values)} for u in model.effects
+        {"name": u.effect.name, "place": u.place, "values": plain_values(u.values)} for u in model.effects
     ]
     if model.quantities:
-        data["quantities"] = _plain_values(model.quantities)
+        data["quantities"] = plain_values(model.quantities)
     if model.provenance:
         data["provenance"] = dict(model.provenance)
     text = "# SPDX-License-Identifier: Apache-2.0\n" + yaml.safe_dump(
@@ -398,7 +236,3 @@ def save_model(model: Model, path: Path) -> Path:
     except OSError as error:
         raise InputError(f"Cannot write {path}: {error}") from error
     return path
-
-
-def _plain_values(values: Mapping[str, Value]) -> dict[str, dict[str, Any]]:
-    return {name: {"value": v.value, "unit": v.unit, "from": v.source} for name, v in values.items()}

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from labyrinth_sim.build import Plan, compiled
 from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.model import PLAIN, Model
+from labyrinth_sim.model import Model
+from labyrinth_sim.parts import PLAIN
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array, Trials
 
