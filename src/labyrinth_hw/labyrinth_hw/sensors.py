@@ -10,7 +10,7 @@ import serial
 from labyrinth_hw import sensor_protocol
 from labyrinth_hw.errors import SensorError
 from labyrinth_hw.sensor_protocol import SensorSample
-from labyrinth_hw.serial_line import open_exclusively
+from labyrinth_hw.serial_line import GONE, open_exclusively
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class SensorLine:
             self._buffer.clear()
             self._stamp = time.monotonic()
             port.write(sensor_protocol.sentence(sensor_protocol.SUPPLY if supply else sensor_protocol.READ))
-        except (OSError, serial.SerialException) as error:
+        except GONE as error:
             raise SensorError(f"Sensor line {self.path} is gone: {error}.") from error
         self.asked += 1
 
@@ -106,7 +106,7 @@ class SensorLine:
             try:
                 select.select([port.fileno()], [], [], left)
                 self._buffer += port.read(256)
-            except (OSError, serial.SerialException, TypeError) as error:
+            except GONE as error:
                 raise SensorError(f"Sensor line {self.path} is gone: {error}.") from error
         self.lost += 1
         return None

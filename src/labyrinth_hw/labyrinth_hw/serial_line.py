@@ -4,6 +4,7 @@
 import fcntl
 import os
 import select
+import termios
 import time
 
 import serial
@@ -12,6 +13,10 @@ from dynamixel_sdk import PortHandler
 from labyrinth_hw.errors import PortError
 
 BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+
+
+# What a port raises that vanished while it was open.
+GONE = (OSError, serial.SerialException, termios.error, TypeError)
 
 
 def open_exclusively(path: str, baud: int) -> serial.Serial:

@@ -6,13 +6,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-import serial
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler
 
 from labyrinth_hw.bus_time import block, cycle_time
 from labyrinth_hw.control_tables import PROTOCOL_2_PACKET_ERRORS, ServoModel, servo_model
 from labyrinth_hw.errors import BusError, InputError, PortError, unknown_name
-from labyrinth_hw.serial_line import Port
+from labyrinth_hw.serial_line import GONE, Port
 
 RETRIES = 2
 STATE = ("present_position", "present_speed", "effort")
@@ -328,7 +327,7 @@ class ServoBus:
             # The SDK's ping takes a late, shorter answer for its own and reads beyond its end.
             self.port.is_using = False
             return 0, COMM_RX_CORRUPT, 0
-        except (OSError, serial.SerialException, TypeError) as error:
+        except GONE as error:
             self.port.is_using = False
             raise PortError(f"Serial port {self.port.port_name} is gone: {error}.") from error
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The real Dynamixel SDK and our bus, talking to emulated servos over a real pseudo-terminal."""
 
+import itertools
 import threading
 import time
 from collections.abc import Iterator
@@ -186,7 +187,7 @@ def test_register_scales_are_inverse(model: str) -> None:
 def test_registers_of_a_table_do_not_overlap() -> None:
     for model in MODELS.values():
         ends = sorted((r.address, r.address + r.size, name) for name, r in model.registers.items())
-        for (_, end, name), (start, _, follower) in zip(ends, ends[1:], strict=False):
+        for (_, end, name), (start, _, follower) in itertools.pairwise(ends):
             assert end <= start, f"{model.name}: {name} reaches into {follower}"
 
 

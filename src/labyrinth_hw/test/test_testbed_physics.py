@@ -15,7 +15,7 @@ from labyrinth_hw.testbed.video_scene import Layout
 
 TIME = np.arange(0.0, 2.5, 0.01)
 STEPS = np.radians(np.column_stack([2.5 * np.sign(np.sin(2.5 * TIME + 0.1)), 2.0 * np.sin(4 * TIME)]))
-QUIET = HEALTHY.with_values({"viscous": 0.0, "board_viscous": 0.0, "torque_noise": 0.0})
+QUIET = HEALTHY.with_values({"viscous": 0.0, "board_viscous": 0.0, "torque_noise": 0.0, "idle_friction": 0.0})
 
 
 def plant(reality: Reality, start: tuple[float, float] = (0.0, 0.0)) -> Plant:

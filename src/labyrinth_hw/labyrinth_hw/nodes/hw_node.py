@@ -67,6 +67,7 @@ class HwNode(Node):
         self._place: tuple[float, float] | None = None
         self._told = State.WAITING
         self._stop = threading.Event()
+        self.exit_code = 0
         qos: dict[str, Any] = {
             "qos_profile": RELIABLE,
             "qos_overriding_options": QoSOverridingOptions.with_default_policies(),
@@ -151,10 +152,12 @@ class HwNode(Node):
                     self._pub["late"] += 1
                     due = time.monotonic()
         except BaseException as error:
-            if not self._stop.is_set():
+            # Publishing while ROS shuts down fails too; that is an orderly end.
+            if not self._stop.is_set() and rclpy.ok():
                 self.get_logger().fatal(
                     f"The control thread ended, torque goes off:\n{''.join(traceback.format_exception(error))}"
                 )
+                self.exit_code = 1
                 rclpy.try_shutdown()
         finally:
             self.hardware.close()
@@ -337,6 +340,7 @@ def main() -> None:
         node.close()
         node.destroy_node()
         rclpy.try_shutdown()
+    sys.exit(node.exit_code)
 
 
 if __name__ == "__main__":

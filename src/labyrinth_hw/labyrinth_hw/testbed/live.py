@@ -110,6 +110,8 @@ class LiveTestbed:
                 self.lines[name].extra_delay = float(seconds)
             case ["alarm", axis, bits] if axis in ("x", "y"):
                 self.rig.servos["xy".index(axis)].raise_alarm(int(bits, 0))
+            case ["heal", axis] if axis in ("x", "y"):
+                self.rig.servos["xy".index(axis)].clear_alarm()
             case ["replace", axis, model] if axis in ("x", "y") and model in MODELS:
                 self.rig.servos["xy".index(axis)].set("model_number", MODELS[model].number)
             case ["cover"] | ["uncover"]:
@@ -140,5 +142,5 @@ class LiveTestbed:
 
 FAULTS = (
     "Known: unplug servos|sensors; plug servos|sensors; noise servos|sensors SHARE; late servos|sensors SECONDS; "
-    "alarm x|y BITS; replace x|y MODEL; cover; uncover; piezo."
+    "alarm x|y BITS; heal x|y; replace x|y MODEL; cover; uncover; piezo."
 )

@@ -64,6 +64,7 @@ QUANTITIES: dict[str, Quantity] = {
     "thermal_bias": _both(0.0, "rad/K", "drift of the position measurement with warming"),
     # dry and wet friction at the servo's output
     "coulomb": _both(0.0, "N m", "sliding friction"),
+    "idle_friction": _both(0.2, "N m", "more sliding friction while torque is off: the gear hardly turns backwards"),
     "static": _both(0.0, "N m", "breakaway friction above the sliding one"),
     "stribeck_speed": _both(0.05, "rad/s", "speed at which the extra breakaway friction has gone to 1/e"),
     "viscous": _both(0.02, "N m s/rad", "proportional to speed"),

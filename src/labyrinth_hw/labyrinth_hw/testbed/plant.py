@@ -131,6 +131,8 @@ class Plant:
         if self._cogs:
             torque = torque + cogging(q, self.servo)
         dry = level(q, self.servo_speed, drive + load, self._softening) if self._rubs else q.coulomb
+        if not self._all_on:
+            dry = np.where(self.torque_on, dry, dry + q.idle_friction)
         if self.lugre.any:
             torque = torque - self.lugre.torque(q, self.servo_speed, dry, dt)
             dry = np.where(self.lugre.active, 0.0, dry)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 run labyrinth_hw calibrate_motors`: the positioning error of each servo and the slack of its belt.
+
+Each axis is led through its range up and down; the board's rests, by the potentiometers, give the map. Needs no ROS,
+and the hardware node must not run at the same time. Writes a new YAML file: the given configuration with a
+`compensation:` section.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from tqdm import tqdm
+
+from labyrinth_hw import config
+from labyrinth_hw.compensation import Compensation, measured_map
+from labyrinth_hw.errors import HardwareError, InputError
+from labyrinth_hw.hardware import Hardware, load_hardware
+from labyrinth_hw.safety import Command, State
+
+PERIOD = 0.01  # s
+BEYOND_DEG = 1.0  # past the ends of the map; more than any belt's slack
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of `calibrate_motors`."""
+    p = argparse.ArgumentParser(prog="calibrate_motors", description=__doc__.split("\n")[0].split(": ", 1)[1])
+    p.add_argument("--config", default="paper", help="name or path of a config/hw/*.yaml (default: paper)")
+    p.add_argument("--range-deg", type=float, default=4.0, help="the map reaches this far both ways (default: 4)")
+    p.add_argument("--step-deg", type=float, default=0.5, help="between two goals (default: 0.5)")
+    p.add_argument("--settle", type=float, default=0.6, help="s before the board counts as at rest (default: 0.6)")
+    p.add_argument("--samples", type=int, default=20, help="readings averaged at each rest (default: 20)")
+    p.add_argument("--out", type=Path, required=True, help="new YAML file")
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and write. Exit code 2 for bad input or hardware that does not answer, 130 for Ctrl-C."""
+    given = parser().parse_args(arguments)
+    try:
+        if given.out.exists():
+            raise InputError(f"{given.out} exists and is left as it is; name another file.")
+        content = config.load("hw", given.config)
+        hardware = Hardware(load_hardware(given.config), period=PERIOD)
+        hardware.connect()
+        try:
+            found = calibrate(hardware, given.range_deg, given.step_deg, given.settle, given.samples)
+        finally:
+            hardware.close()
+        content["compensation"] = {name: as_yaml(entry) for name, entry in found.items()}
+        with given.out.open("x", encoding="utf-8") as file:
+            yaml.safe_dump(content, file, sort_keys=False)
+    except (InputError, HardwareError, OSError) as error:
+        print(f"calibrate_motors: {error}", file=sys.stderr)
+        raise SystemExit(2) from error
+    except KeyboardInterrupt:
+        print("calibrate_motors: interrupted; torque is off, nothing was written.", file=sys.stderr)
+        raise SystemExit(130) from None
+    for name, entry in found.items():
+        worst = np.degrees(np.abs(entry.errors).max())
+        print(f"{name}: positioning error up to {worst:.2f} deg, slack {np.degrees(entry.slack):.2f} deg")
+    print(f"written: {given.out}; use it with -p config:={given.out} -p compensate_position_error:=true")
+
+
+def calibrate(
+    hardware: Hardware, range_deg: float, step_deg: float, settle: float, samples: int
+) -> dict[str, Compensation]:
+    """Lead each motor up and down its range, the others at zero.
+
+    Returns:
+        a compensation by motor.
+
+    Raises:
+        InputError: no potentiometers, or a range that is not covered by the limits.
+        HardwareError: the rig stopped or fell silent.
+    """
+    if hardware.sensors is None:
+        raise InputError("Calibration needs the potentiometers; the configuration has no sensor_port.")
+    if not 0 < step_deg <= range_deg or samples < 1 or settle < 0:
+        raise InputError(f"Expected 0 < step <= range, got step {step_deg:g} and range {range_deg:g} deg.")
+    for name, limit in hardware.settings.limits.items():
+        if np.radians(range_deg + BEYOND_DEG) > limit.angle:
+            most = np.degrees(limit.angle) - BEYOND_DEG
+            raise InputError(f"{name}: --range-deg can be {most:.1f} at most, {BEYOND_DEG:g} within its limit.")
+    goals = np.radians(np.linspace(-range_deg, range_deg, 2 * round(range_deg / step_deg) + 1))
+    names = [motor.name for motor in hardware.settings.motors]
+    # Beyond both ends, so that the outermost goals too are met from below and from above.
+    beyond = np.radians(BEYOND_DEG)
+    path = [goals[0] - beyond, *goals, goals[-1] + beyond, *goals[::-1]]
+    found = {}
+    with tqdm(total=len(names) * len(path), desc="calibrate", unit="rest") as bar:
+        for axis, name in enumerate(names):
+            rests = []
+            for goal in path:
+                command = {other: float(goal) if other == name else 0.0 for other in names}
+                rests.append(_rest(hardware, command, axis, settle, samples))
+                bar.update()
+            half = len(goals)
+            found[name] = measured_map(list(goals), rests[1 : half + 1], rests[half + 2 :][::-1])
+            _rest(hardware, dict.fromkeys(names, 0.0), axis, settle, 1)
+    return found
+
+
+def _rest(hardware: Hardware, goals: dict[str, float], axis: int, settle: float, samples: int) -> float:
+    """Hold goals, and return where the board rests on one axis, rad."""
+    readings: list[float] = []
+    deadline = time.monotonic() + settle + 20 * samples * PERIOD + 2.0
+    begun = time.monotonic()
+    while len(readings) < samples:
+        due = time.monotonic() + PERIOD
+        measured = hardware.cycle(Command(goals, time.monotonic()))
+        if hardware.safety.state is State.STOPPED:
+            raise HardwareError("; ".join(hardware.safety.reasons))
+        if measured is not None and measured.board is not None and due - begun > settle:
+            readings.append((measured.board.x, measured.board.y)[axis])
+        if time.monotonic() > deadline:
+            raise HardwareError(f"The rig fell silent: {hardware.trouble or 'no potentiometer readings'}")
+        time.sleep(max(0.0, due - time.monotonic()))
+    return float(np.mean(readings))
+
+
+def as_yaml(entry: Compensation) -> dict[str, Any]:
+    """A compensation as `compensation_from` reads it."""
+    return {
+        "angles_deg": [_degrees(angle) for angle in entry.angles],
+        "errors_deg": [_degrees(error) for error in entry.errors],
+        "slack_deg": _degrees(entry.slack),
+    }
+
+
+def _degrees(angle: float) -> float:
+    return round(float(np.degrees(angle)), 4)
+
+
+if __name__ == "__main__":
+    main()
