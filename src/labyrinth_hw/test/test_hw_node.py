@@ -256,6 +256,12 @@ def test_torque_goes_off_when_the_node_ends(bench: Bench, how: int) -> None:
     bus.close()
 
 
+def test_a_node_that_starts_first_waits_for_its_ports(bench: Bench) -> None:
+    bench.start_node(connect_timeout="25.0")
+    bench.start_testbed()
+    bench.more_states(5)
+
+
 def test_dry_run_measures_but_moves_nothing(bench: Bench) -> None:
     bench.start_testbed()
     bench.start_node(dry_run="true")
@@ -299,7 +305,7 @@ def test_the_ball_is_seen_lost_and_supplied(bench: Bench) -> None:
         ({"config": "papr"}, "Did you mean 'paper'"),
         ({"rate": "5.0"}, "rate"),
         ({"spede": "1"}, "Unknown parameters"),
-        ({}, "does not exist"),
+        ({"connect_timeout": "0.2"}, "does not exist"),
     ],
 )
 def test_bad_parameters_and_missing_hardware_end_with_code_2(bench: Bench, parameters: dict, complaint: str) -> None:

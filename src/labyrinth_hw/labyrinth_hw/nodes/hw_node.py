@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The real rig as a ROS node: the same topics as the simulation, under /real."""
 
+import os
 import signal
 import sys
 import threading
@@ -44,6 +45,7 @@ class HwNode(Node):
         prefix = str(self._declare("namespace", "/real", "prefix of the topics [-]")).rstrip("/")
         rate = self._declare("rate", 100.0, "control periods per second [Hz]", 10.0, 500.0)
         timeout = self._declare("command_timeout", 0.2, "age at which a command is old and motion stops [s]", 0.02, 5.0)
+        patience = self._declare("connect_timeout", 5.0, "how long to wait for the ports to appear [s]", 0.0, 600.0)
         dry_run = self._declare("dry_run", False, "read everything but move nothing [-]")
         position_error = self._declare(
             "compensate_position_error", False, "correct goals by the calibrated error map [-]"
@@ -75,6 +77,7 @@ class HwNode(Node):
         self._states = self.create_publisher(JointState, f"{prefix}/joint_states", **qos)
         self._events = self.create_publisher(BallEvent, f"{prefix}/ball_event", **qos)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._await_ports(float(patience))
         self.hardware.connect()
         self._thread = threading.Thread(target=self._control, name="control", daemon=True)
         self.create_subscription(JointState, f"{prefix}/joint_commands", self._commanded, **qos)
@@ -101,6 +104,13 @@ class HwNode(Node):
         if low is not None and high is not None:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
         return self.declare_parameter(name, default, descriptor).value
+
+    def _await_ports(self, patience: float) -> None:
+        """Wait until the ports' files exist: adapters and the emulated testbed may start after this node."""
+        ports = [port for port in (self._settings.servo_port, self._settings.sensor_port) if port]
+        deadline = time.monotonic() + patience
+        while not all(map(os.path.exists, ports)) and time.monotonic() < deadline and rclpy.ok():
+            time.sleep(0.05)
 
     def _refuse_unknown_parameters(self) -> None:
         unknown = [n for n in self._parameter_overrides if not self.has_parameter(n) and not n.startswith(BUILT_IN)]
