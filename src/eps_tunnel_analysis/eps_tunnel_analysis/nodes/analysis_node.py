@@ -209,7 +209,7 @@ class AnalysisNode(TunnelNode):
             topics=topics, received=[c.received for c in counts], late=[c.late for c in counts],
             lost=[c.lost for c in counts], reordered=[c.reordered for c in counts],
             duplicated=[c.duplicated for c in counts],
-            restarts=sum(max(0, self._recorder.matched.get(topic, 1) - 1) for topic in topics),
+            restarts=sum(self._recorder.restarts.get(topic, 0) for topic in topics),
             clock_jumps=sum(c.clock_jumps for c in counts),
         )  # fmt: skip
         message.header.stamp = now
