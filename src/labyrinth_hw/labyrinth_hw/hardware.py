@@ -13,9 +13,10 @@ from labyrinth_hw import config
 from labyrinth_hw.compensation import Compensation, Compensator, compensation_from
 from labyrinth_hw.errors import BusError, HardwareError, InputError, PortError, SensorError, unknown_name
 from labyrinth_hw.links import device
+from labyrinth_hw.motors import Motor, MotorState, motors_from
 from labyrinth_hw.safety import Command, Limits, Safety, State
 from labyrinth_hw.sensors import BoardState, Potentiometer, SensorLine
-from labyrinth_hw.servo_bus import Motor, MotorState, ServoBus, motors_from
+from labyrinth_hw.servo_bus import ServoBus
 from labyrinth_hw.vision import CameraSettings, camera_settings
 
 KEYS = {

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.servo_bus import MotorState
+from labyrinth_hw.motors import MotorState
 
 SPEEDING_SAMPLES = 3
 VOLTAGE_SAMPLES = 5  # a dip while the motors start is no fault

@@ -241,7 +241,8 @@ def test_a_second_node_on_the_port_refuses_with_code_2(running: Bench) -> None:
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_torque_goes_off_when_the_node_ends(bench: Bench, how: int) -> None:
     from labyrinth_hw.control_tables import servo_model
-    from labyrinth_hw.servo_bus import Motor, ServoBus
+    from labyrinth_hw.motors import Motor
+    from labyrinth_hw.servo_bus import ServoBus
 
     bench.start_testbed()
     bench.start_node()

@@ -7,8 +7,8 @@ import pytest
 
 from labyrinth_hw.control_tables import PROTOCOL_1_ERRORS
 from labyrinth_hw.errors import InputError
+from labyrinth_hw.motors import MotorState
 from labyrinth_hw.safety import SPEEDING_SAMPLES, VOLTAGE_SAMPLES, Command, Limits, Safety, State
-from labyrinth_hw.servo_bus import MotorState
 
 LIMITS = Limits(angle=0.1, speed=5.0, temperature=70.0, voltage=(9.0, 16.0))
 

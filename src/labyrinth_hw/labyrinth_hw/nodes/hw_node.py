@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
 from math import hypot, nan
 from types import FrameType
 from typing import Any
@@ -26,11 +25,13 @@ from std_srvs.srv import Trigger
 
 from labyrinth_hw.errors import HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement, load_hardware
+from labyrinth_hw.health import hardware_health
 from labyrinth_hw.priority import ask_for_priority
 from labyrinth_hw.safety import Command, State
 from labyrinth_hw.vision import Sight, Vision
 from labyrinth_msgs.msg import BallEvent, BallState
 
+LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 NEAR_HOLE = 0.03  # m
 RELIABLE = QoSProfile(depth=50)
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -269,48 +270,15 @@ class HwNode(Node):
         return response
 
     def _report(self) -> None:
-        hw, counters = self.hardware, self.hardware.bus.counters
-        level = DiagnosticStatus.OK
-        if not hw.connected or hw.safety.state is State.STOPPED:
-            level = DiagnosticStatus.ERROR
-        elif not hw.sensors_connected and hw.sensors is not None:
-            level = DiagnosticStatus.WARN
-        text = "; ".join(hw.safety.reasons) or hw.safety.state.value if hw.connected else f"disconnected: {hw.trouble}"
+        health = hardware_health(self.hardware, self._pub, self._sight if self._vision is not None else None)
         status = DiagnosticStatus(
-            level=level, name=f"{self.get_name()}: servos", message=text, hardware_id=self._settings.servo_port
-        )
-        values: dict[str, object] = {
-            "state": hw.safety.state.name.lower(),
-            "packets sent": counters.sent, "packets lost": counters.lost, "packets damaged": counters.corrupt,
-            "retries": counters.retried, "failures": counters.failed, "reconnects": hw.reconnects,
-            "bus time of a cycle [ms]": f"{hw.bus.cycle * 1e3:.2f}",
-            "cycles": self._pub["cycles"], "cycles late": self._pub["late"],
-            "cycles without servos": self._pub["silent"],
-            "commands refused": self._pub["refused"], "last trouble": hw.trouble,
-        }  # fmt: skip
-        for name, motor in hw.slow.items():
-            values[f"{name} voltage [V]"] = f"{motor.voltage:.1f}"
-            values[f"{name} temperature [degC]"] = f"{motor.temperature:.0f}"
-            values[f"{name} alarm"] = self._meaning(motor.alarm, hw.safety.meanings.get(name, {}))
-        if hw.sensors is not None:
-            values |= {
-                "sensor requests": hw.sensors.asked,
-                "sensor answers lost": hw.sensors.lost,
-                "sensor lines damaged": hw.sensors.damaged,
-            }
-        if self._vision is not None:
-            sight = self._sight
-            values |= {
-                "camera frames": sight.frames if sight else 0, "camera losses": sight.losses if sight else 0,
-                "board seen": bool(sight and sight.board), "ball seen": bool(sight and sight.visible),
-            }  # fmt: skip
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+            level=LEVELS[health.level], name=f"{self.get_name()}: servos", message=health.message,
+            hardware_id=self._settings.servo_port,
+            values=[KeyValue(key=key, value=value) for key, value in health.values.items()],
+        )  # fmt: skip
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
-
-    def _meaning(self, alarm: int, meanings: Mapping[int, str]) -> str:
-        return "; ".join(text for bit, text in meanings.items() if alarm & bit) or "none"
 
     def close(self) -> None:
         """Torque off, ports closed."""
