@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long one control cycle occupies the bus: bytes on the wire at ten bits each, half duplex."""
 
-from labyrinth_hw.control_tables import ServoModel
 from labyrinth_hw.errors import InputError
+from labyrinth_hw.registers import ServoModel
 
 BLOCKS = (
     ("present_position", "present_speed", "effort", "present_voltage", "present_temperature"),

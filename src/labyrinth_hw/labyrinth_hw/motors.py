@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import radians
 
-from labyrinth_hw.control_tables import ServoModel, servo_model
+from labyrinth_hw.control_tables import servo_model
 from labyrinth_hw.errors import InputError
+from labyrinth_hw.registers import ServoModel
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ import pytest
 from dynamixel_sdk import COMM_SUCCESS, PacketHandler
 
 from labyrinth_hw.bus_time import BLOCKS, bytes_per_cycle, cycle_time
-from labyrinth_hw.control_tables import MODELS, Register, servo_model
+from labyrinth_hw.control_tables import MODELS, servo_model
 from labyrinth_hw.errors import BusError, InputError, PortError
 from labyrinth_hw.motors import Motor
+from labyrinth_hw.registers import Register
 from labyrinth_hw.serial_line import Port
 from labyrinth_hw.servo_bus import ServoBus
 from labyrinth_hw.testbed.live import LiveTestbed

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from labyrinth_hw import config
-from labyrinth_hw.control_tables import ServoModel, servo_model
+from labyrinth_hw.control_tables import servo_model
 from labyrinth_hw.errors import InputError, unknown_name
+from labyrinth_hw.registers import ServoModel
 from labyrinth_hw.testbed.effects import ALIASES, EFFECTS, STRENGTHS
 from labyrinth_hw.testbed.parameters import AXES, HEALTHY, QUANTITIES, Reality
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from labyrinth_hw.control_tables import ServoModel
+from labyrinth_hw.registers import ServoModel
 from labyrinth_hw.sensor_protocol import SensorSample
 from labyrinth_hw.testbed.ball import Ball
 from labyrinth_hw.testbed.parameters import Reality, stack

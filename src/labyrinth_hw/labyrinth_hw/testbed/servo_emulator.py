@@ -4,7 +4,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from labyrinth_hw.control_tables import Register, ServoModel
+from labyrinth_hw.registers import Register, ServoModel
 from labyrinth_hw.testbed import packets
 from labyrinth_hw.testbed.packets import BROADCAST, Instruction
 
