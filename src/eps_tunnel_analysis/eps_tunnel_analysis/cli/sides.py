@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from labyrinth_sim.errors import InputError
 
 if TYPE_CHECKING:
-    from eps_tunnel_analysis.recording import TrialsResult
+    from eps_tunnel_analysis.recording import Recording, TrialsResult
     from labyrinth_sim.model import Model
     from labyrinth_sim.rig import Rig
     from labyrinth_sim.trials import Trials
@@ -168,7 +168,15 @@ def _rig(arguments: argparse.Namespace) -> "Rig":
 
 
 def _read(paths: Sequence[Path], rig: "Rig | None", arguments: argparse.Namespace) -> "TrialsResult":
-    from eps_tunnel_analysis.recording import Recording, guessed_map, read, to_trials
+    from eps_tunnel_analysis.recording import to_trials
+
+    recordings = read_bags(paths, arguments)
+    return to_trials(recordings, rig, **reading(recordings, rig, arguments))
+
+
+def read_bags(paths: Sequence[Path], arguments: argparse.Namespace) -> "list[Recording]":
+    """Reads the bags. Raises InputError with what is wrong with any of them."""
+    from eps_tunnel_analysis.recording import Recording, read
 
     recordings: list[Recording] = []
     complaints: list[str] = []
@@ -179,20 +187,36 @@ def _read(paths: Sequence[Path], rig: "Rig | None", arguments: argparse.Namespac
             complaints += error.complaints
     if complaints:
         raise InputError(complaints)
+    return recordings
+
+
+def reading(recordings: "Sequence[Recording]", rig: "Rig | None", arguments: argparse.Namespace) -> dict[str, Any]:
+    """How the arguments of `add_bag_arguments` want recordings brought onto a grid; for `to_trials` and `to_plays`."""
+    from eps_tunnel_analysis.recording import guessed_map
+
     names = arguments.signals
     if names is None and rig is not None:
-        names = [n for n, unit in zip(rig.signals, rig.units, strict=True) if unit in POSITIONS]
+        names = _recorded(
+            [n for n, unit in zip(rig.signals, rig.units, strict=True) if unit in POSITIONS], rig, recordings
+        )
     elif names is None:
         offered = guessed_map(recordings[0]).signals
         names = [source.name for source in offered if source.unit in POSITIONS] or None
-    return to_trials(
-        recordings,
-        rig,
-        signals=names,
-        rate=arguments.rate,
-        max_gap=arguments.max_gap,
-        cut_to_shortest=arguments.cut_to_shortest,
-    )
+    return {
+        "signals": names,
+        "rate": arguments.rate,
+        "max_gap": arguments.max_gap,
+        "cut_to_shortest": arguments.cut_to_shortest,
+    }
+
+
+def _recorded(names: list[str], rig: "Rig", recordings: "Sequence[Recording]") -> list[str]:
+    """Those signals of a rig whose topic is in some recording, as that of a ball may not be; all where none is."""
+    from eps_tunnel_analysis.recording.channel_map import channel_map, namespace_of
+
+    maps = [(r, channel_map(rig, namespace_of(r))) for r in recordings]
+    there = {source.name for r, channels in maps for source in channels.signals if source.topic in r.topics}
+    return [name for name in names if name in there] or names
 
 
 def _bag_facts(side: str, paths: Sequence[Path], result: "TrialsResult") -> list[tuple[str, str]]:

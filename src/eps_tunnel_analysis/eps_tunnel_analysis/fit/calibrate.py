@@ -4,7 +4,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,14 +12,15 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.fit.cma import CmaEs
 from eps_tunnel_analysis.fit.es import EvolutionStrategy
-from eps_tunnel_analysis.fit.evaluations import Evaluations, Progress
+from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, Progress
 from eps_tunnel_analysis.fit.fitness import CommandError, Dissimilarity, Fitness
 from eps_tunnel_analysis.fit.gauss_newton import GaussNewton
-from eps_tunnel_analysis.fit.intervals import Intervals, combination, intervals, jacobian
+from eps_tunnel_analysis.fit.intervals import Intervals, combination, intervals, jacobian, unknown_intervals
 from eps_tunnel_analysis.fit.journal import Journal
-from eps_tunnel_analysis.fit.objective import Objective, Play
+from eps_tunnel_analysis.fit.objective import Objective
 from eps_tunnel_analysis.fit.problem import Problem, Residuals
 from eps_tunnel_analysis.fit.result import Fit, Fitted
+from eps_tunnel_analysis.plays import Play
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
@@ -64,6 +64,7 @@ class Settings:
         timestep: MuJoCo's step, s; None for the rig's own.
         nthread: 0 for one per CPU; the answer does not depend on it.
         journal: checkpoint file; a run that broke off goes on from it.
+        budget: evaluations after which to stop, at the end of a batch; None leaves it to the method.
         about: data and versions, kept with the result.
         spread: wraps the residual function, to send the same evaluations elsewhere.
     """
@@ -76,6 +77,7 @@ class Settings:
     timestep: float | None = None
     nthread: int = 0
     journal: Path | None = None
+    budget: int | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
     spread: Callable[[Residuals], Residuals] | None = None
 
@@ -85,23 +87,6 @@ class Settings:
         if self.method not in METHODS:
             raise InputError(unknown_name("method", self.method, METHODS))
         return METHODS[self.method]()
-
-
-def free_parameters(model: Model, patterns: Sequence[str]) -> tuple[str, ...]:
-    """Full names that match, in the model's order; `drive.x.*` matches all of that drive.
-
-    Raises:
-        InputError: a pattern that matches nothing; lists the names.
-    """
-    known = model.parameters()
-    complaints = [
-        unknown_name("parameter", pattern, known)
-        for pattern in patterns
-        if not any(fnmatchcase(name, pattern) for name in known)
-    ]
-    if complaints:
-        raise InputError(complaints)
-    return tuple(name for name in known if any(fnmatchcase(name, pattern) for pattern in patterns))
 
 
 def calibrate(
@@ -137,18 +122,24 @@ def calibrate(
                      objective.mean.tobytes(), sorted(model.values().items()), settings.timestep))  # fmt: skip
     journal = Journal(settings.journal, identity) if settings.journal else None
     interrupted = False
-    evaluations = Evaluations(problem, journal, progress)
+    evaluations = Evaluations(problem, journal, progress, settings.budget)
     try:
         before = float(evaluations.fitness(problem.to_unit(problem.start)[None])[0])
         try:
             method.run(evaluations, np.random.default_rng(settings.seed))
+        except BudgetSpent:
+            pass
         except KeyboardInterrupt:
             interrupted = True
-        residuals, slopes = _around(evaluations)
+        try:
+            residuals, slopes = _around(evaluations)
+            found = intervals(slopes, residuals, problem.blocks)
+        except KeyboardInterrupt:  # again: whoever waits wants the values, not how sure they are
+            interrupted = True
+            residuals, slopes, found = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
     finally:
         if journal:
             journal.close()
-    found = intervals(slopes, residuals, problem.blocks)
     values = problem.from_unit(evaluations.best)
     at_bound = np.minimum(evaluations.best, 1.0 - evaluations.best) < AT_BOUND
     gain = promised_gain(slopes[:, ~at_bound], residuals)
@@ -211,6 +202,8 @@ def _fitness(objective: Objective, settings: Settings) -> Fitness:
 
 def _around(evaluations: Evaluations) -> tuple[Array, Array]:
     """Residuals (R,) and their slopes (R, k) at the best, in the fitness's scaling."""
+    # Not in the checkpoint either: a run that goes on after an interruption asks other questions next.
+    evaluations.limit, evaluations.progress, evaluations.journal = None, None, None
     z = evaluations.best
     steps = np.where(z + STEP <= 1.0, STEP, -STEP)
     scaled = evaluations.problem.fitness.scaled

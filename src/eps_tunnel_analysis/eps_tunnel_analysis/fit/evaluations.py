@@ -10,8 +10,12 @@ from eps_tunnel_analysis.fit.journal import Journal
 from eps_tunnel_analysis.fit.problem import Problem
 from labyrinth_sim.trials import Array
 
-#: Called after each batch with (evaluations so far, best fitness so far).
+#: Called after each batch with (evaluations so far, best fitness so far). May raise KeyboardInterrupt to stop the fit.
 Progress = Callable[[int, float], None]
+
+
+class BudgetSpent(Exception):
+    """No more evaluations are allowed; the best so far is the answer."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +34,26 @@ class Evaluations:
         best: (k,) normalised values of the best so far; the start until something was evaluated.
         best_fitness: its fitness.
         history: where the best improved.
+        journal: remembers answers from run to run.
+        progress: told after each batch.
+        limit: evaluations after which the next batch raises BudgetSpent; None for no limit.
     """
 
-    def __init__(self, problem: Problem, journal: Journal | None = None, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        journal: Journal | None = None,
+        progress: Progress | None = None,
+        limit: int | None = None,
+    ) -> None:
         self.problem = problem
+        self.limit = limit
         self.count = 0
         self.best: Array = problem.to_unit(problem.start)
         self.best_fitness = float("inf")
         self.history: list[Step] = []
-        self._journal = journal
-        self._progress = progress
+        self.journal = journal
+        self.progress = progress
 
     def residuals(self, z: Array) -> Array:
         """(n, k) normalised values to (n, R) residuals; diverged roll-outs are rows of NaN."""
@@ -61,11 +75,13 @@ class Evaluations:
         return self._ask(question, answer, lambda column: column[:, 0])[:, 0]
 
     def _ask(self, question: Array, answer: Callable[[], Array], fitness: Callable[[Array], Array]) -> Array:
-        result = self._journal.recall(question) if self._journal else None
+        if self.limit is not None and self.count >= self.limit:
+            raise BudgetSpent
+        result = self.journal.recall(question) if self.journal else None
         if result is None:
             result = answer()
-            if self._journal:
-                self._journal.add(question, result)
+            if self.journal:
+                self.journal.add(question, result)
         self._note(question, fitness(result))
         return result
 
@@ -76,5 +92,5 @@ class Evaluations:
             self.best_fitness = float(fitness[winner])
             self.best = question[winner].copy()
             self.history.append(Step(self.count, self.best_fitness))
-        if self._progress:
-            self._progress(self.count, self.best_fitness)
+        if self.progress:
+            self.progress(self.count, self.best_fitness)

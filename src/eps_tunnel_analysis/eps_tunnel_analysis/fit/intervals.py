@@ -30,6 +30,12 @@ class Intervals:
     lag: int
 
 
+def unknown_intervals(k: int) -> Intervals:
+    """What is said of k values when nobody had the time to look."""
+    nothing = np.full(k, np.nan)
+    return Intervals(nothing, nothing, np.empty((0, k)), 0)
+
+
 def jacobian(residuals_at: Array, residuals_moved: Array, steps: Array) -> Array:
     """(R, k) from residuals (R,) and moved residuals (k, R) at steps (k,)."""
     return np.asarray(((residuals_moved - residuals_at) / steps[:, None]).T)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plays made by a model of known values, on the bare servo horn, which steps fastest."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from bag_files import START, STEP, Header, JointState, Time, write_bag
+
+from eps_tunnel_analysis.plays import Play
+from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.simulate import simulate
+from labyrinth_sim.trials import Trials
+
+TRUTH = {"drive.x.p": 18.0, "drive.x.i": 0.0, "drive.x.d": 0.95, "drive.x.delay": 0.032}
+FREE = tuple(TRUTH)
+SAMPLES = 61
+
+
+def start() -> Model:
+    """The labyrinth with the paper's standard servos."""
+    return load_model("labyrinth")
+
+
+def made_by(model: Model, commands: np.ndarray, trials: int = 3, noise: float = 2e-4, seed: int = 0) -> Trials:
+    """Trials of a model, rad, with white noise on every position."""
+    time = np.arange(len(commands)) * 0.01
+    run = simulate(model, time, commands)
+    positions = [s for s, unit in zip(run.signals, run.units, strict=True) if unit == "rad"]
+    run = run.select(positions)
+    clean = np.repeat(run.values, trials, axis=0)
+    noisy = clean + noise * np.random.default_rng(seed).standard_normal(clean.shape)
+    return replace(run, values=noisy, commands=np.repeat(run.commands, trials, axis=0))
+
+
+def step(degrees: float, axis: int = 0, samples: int = SAMPLES) -> np.ndarray:
+    """(T, 2) rad, from 0 to a target at the second sample."""
+    commands = np.zeros((samples, 2))
+    commands[1:, axis] = np.radians(degrees)
+    return commands
+
+
+def plays(degrees=(-4.0, -2.0, 1.0, 3.0, 5.0), truth=TRUTH, axis: int = 0, **options) -> list[Play]:
+    model = start().with_values(truth)
+    return [Play(f"{d:+g}deg", made_by(model, step(d, axis), seed=i, **options)) for i, d in enumerate(degrees)]
+
+
+def bag_of(folder: Path, trials: Trials) -> Path:
+    """The first trial as a bag without marks, as a recorder would have written it."""
+    joints = [s for s in trials.signals if "_velocity" not in s]
+
+    def message(at: int, names, values):
+        header = Header(stamp=Time(sec=at // 10**9, nanosec=at % 10**9), frame_id="")
+        return JointState(header=header, name=list(names), position=np.array(values), velocity=np.array([]),
+                          effort=np.array([]))  # fmt: skip
+
+    stamps = [START + STEP * i for i in range(len(trials.time))]
+    columns = [trials.index(s) for s in joints]
+    states = [(at, message(at, joints, trials.values[0, i, columns])) for i, at in enumerate(stamps)]
+    commands = [(at, message(at, trials.command_channels, trials.commands[0, i])) for i, at in enumerate(stamps)]
+    kind = "sensor_msgs/msg/JointState"
+    return write_bag(folder, {"/real/joint_states": (kind, states), "/real/joint_commands": (kind, commands)})
