@@ -23,6 +23,7 @@ from labyrinth_sim.errors import InputError
 
 TAIL = 0.3  # s of recording after each trial, so that its last sample has a neighbour to interpolate with
 FEEDBACK = 0.2  # s between two reports of progress
+REPEATS = 3  # times a trial is begun anew after a stall of this process
 RECORD_TIMEOUT = 10.0  # s
 
 
@@ -35,6 +36,7 @@ class Limits:
     rest_timeout: float
     silence: float
     connect_timeout: float
+    stall: float
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,10 @@ class Outcome:
 
 class Ended(Exception):
     """The run cannot go on; the text says why."""
+
+
+class Stalled(Ended):
+    """This process was not served for so long that the commands of the trial were not those of the sequence."""
 
 
 class Play:
@@ -84,7 +90,7 @@ class Play:
             for command in sequence.commands:
                 with self._recording(target_folder, command, bags):
                     for number in range(trials):
-                        self._trial(command, number, run)
+                        self._whole_trial(command, number, run)
         except (Ended, InputError) as reason:
             return Outcome(
                 False, f"{sequence.name} ended in trial {run.trial + 1} of {run.trials}: {reason}", tuple(bags)
@@ -127,6 +133,17 @@ class Play:
         finally:
             self._recorder.stop(RECORD_TIMEOUT)
 
+    def _whole_trial(self, command: Command, number: int, run: "_Run") -> None:
+        """A trial; one that a stall spoiled is marked as given up and begun anew."""
+        for repeat in range(REPEATS + 1):
+            try:
+                self._trial(command, number, run)
+                return
+            except Stalled as stall:
+                if repeat == REPEATS:
+                    raise
+                self._log.warning(f"Trial {number + 1} of {command.name} is given up and begun anew: {stall}")
+
     def _trial(self, command: Command, number: int, run: "_Run") -> None:
         initial = np.array(command.initial)
         paths = [smooth_path(side.pose(command), initial, self._limits.speed, self._rate) for side in self._sides]
@@ -147,7 +164,7 @@ class Play:
                 side.mark(to_time(stamp_ns), phase, command, number)
 
         try:
-            start = self._tick(command, [targets] * len(self._sides), run, first=lambda ns: mark(Trial.START, ns))
+            start = self._tick(command, [targets] * len(self._sides), run, lambda ns: mark(Trial.START, ns), True)
             mark(Trial.END, start + round(command.duration * 1e9))
         finally:
             if started:
@@ -172,24 +189,31 @@ class Play:
             self._tick(command, [hold] * len(self._sides), run)
 
     def _tick(
-        self, command: Command, rows: SequenceOf[Array], run: "_Run", first: Callable[[int], None] | None = None
+        self,
+        command: Command,
+        rows: SequenceOf[Array],
+        run: "_Run",
+        first: Callable[[int], None] | None = None,
+        strict: bool = False,
     ) -> int:
         """Sends row after row to each side, one a tick; returns the stamp of the first in ns.
 
-        The deadlines are absolute, so that a late tick does not move those after it; the next rows go on from the last.
+        The deadlines are absolute, so that a late tick does not move those after it; rows whose time passed meanwhile
+        are left out, as a held command would be. With `strict` more than `Limits.stall` of them are too many.
         """
-        begin_ns = 0
-        for step in range(len(rows[0])):
-            now = run.wait(1 / self._rate)
-            now_ns = self._clock.now().nanoseconds
+        begin = max(run.next_tick, time.monotonic())
+        run.wait(begin)
+        begin_ns = self._clock.now().nanoseconds
+        step = 0
+        while step < len(rows[0]):
             # The stamp is that of the tick, not of the moment it was served: even steps of time, whatever the load.
-            stamp_ns = begin_ns + round(step / self._rate * 1e9) if step else now_ns
-            if abs(stamp_ns - now_ns) > 1e9:
-                raise Ended("the clock jumped by more than a second while playing.")
-            if step == 0:
-                begin_ns = now_ns
-                if first is not None:
-                    first(now_ns)
+            stamp_ns = begin_ns + round(step / self._rate * 1e9)
+            now = time.monotonic()
+            drift = (self._clock.now().nanoseconds - begin_ns) * 1e-9 - (now - begin)
+            if abs(drift) > 1.0:
+                raise Ended(f"the clock jumped by {drift:+.1f} s while playing.")
+            if step == 0 and first is not None:
+                first(begin_ns)
             stamp = to_time(stamp_ns)
             for side, targets in zip(self._sides, rows, strict=True):
                 side.send(stamp, command, targets[step])
@@ -199,6 +223,16 @@ class Play:
                         f"{side.name} fell silent: no joint states for {side.silence:.1f} s on {side.topics[1]}."
                     )
             run.report(now)
+            due = int((time.monotonic() - begin) * self._rate)
+            if strict and due - step > self._limits.stall * self._rate:
+                raise Stalled(
+                    f"the player was not served for {(due - step) / self._rate:.2f} s; the machine is too busy. Close "
+                    "other programs, or raise `stall_timeout`."
+                )
+            step = max(step + 1, due)
+            run.next_tick = begin + step / self._rate
+            if step < len(rows[0]):
+                run.wait(run.next_tick)
         return begin_ns
 
 
@@ -214,25 +248,18 @@ class _Run:
         self.trial, self.trials, self.phase = 0, len(self._work), "returning"
         self.lateness: list[float] = []
         self._began = self._trial_began = time.monotonic()
-        self._next_tick = 0.0
+        self.next_tick = 0.0
         self._next_report = 0.0
 
     def check(self) -> None:
         if self._stopped():
             raise Ended("it was cancelled.")
 
-    def wait(self, period: float) -> float:
-        """Sleeps until the next tick and returns the monotonic time in s; ticks that were missed are dropped."""
+    def wait(self, tick: float) -> None:
+        """Sleeps until a tick, monotonic time in s."""
         self.check()
-        now = time.monotonic()
-        self._next_tick += period
-        if self._next_tick < now - period:
-            self._next_tick = now
-        if self._next_tick > now:
-            time.sleep(self._next_tick - now)
-        now = time.monotonic()
-        self.lateness.append(now - self._next_tick)
-        return now
+        time.sleep(max(0.0, tick - time.monotonic()))
+        self.lateness.append(time.monotonic() - tick)
 
     def trial_done(self) -> None:
         self.trial += 1

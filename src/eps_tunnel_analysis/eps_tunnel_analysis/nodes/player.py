@@ -46,6 +46,7 @@ class Player(TunnelNode):
             connect_timeout=self.parameter(
                 "connect_timeout", 10.0, "Longest wait for the sides to appear", "s", 0.1, 3600
             ),
+            stall=number("stall_timeout", 0.1, "Longest pause within a trial before it is begun anew", "s", 0.02, 10),
         )
         window = number("rest_time", 0.5, "How long a side must be still to be at rest", "s", 0.05, 60)
         rest_speed = number("rest_speed_deg", 0.3, "Below this speed a joint is at rest", "deg/s", 0.001, 100)
