@@ -11,6 +11,7 @@ from labyrinth_sim.trials import Array, Trials
 
 SETTLE = 0.5  # s after the command stopped during which the rig is still taken to be on its way
 REVERSAL = 0.25  # s after the command turned round
+STEP = 0.25  # share of a motion; a start further than this from the first target was a step to it
 STILL = 0.01  # share of the command's range within which two poses count as the same
 
 MEANING = {
@@ -66,29 +67,52 @@ def channel_of(signal: str, channels: Sequence[str]) -> str | None:
     return channels[0] if len(channels) == 1 else None
 
 
-def phases(time: Array, command: Array) -> Phases:
-    """The phases of one command channel (T,), which may be NaN where there was none."""
+def phases(time: Array, command: Array, before: float = np.nan) -> Phases:
+    """The phases of one command channel (T,), which may be NaN where there was none.
+
+    `before` is the target in rad that was held until time zero; where it is NaN, the first one was.
+    """
     t = len(time)
     step = (time[-1] - time[0]) / (t - 1) if t > 1 else 1.0
     sent = np.isfinite(command)
-    phase = np.full(t, "no command", dtype=object)
-    direction = np.full(t, "none", dtype=object)
-    amplitude = np.zeros(t)
+    # One sample more than there are: the first stands for the time before zero.
+    phase = np.full(t + 1, "no command", dtype=object)
+    direction = np.full(t + 1, "none", dtype=object)
+    amplitude = np.zeros(t + 1)
     if sent.any():
         held = command[np.maximum.accumulate(np.where(sent, np.arange(t), np.argmax(sent)))]
+        held = np.concatenate([[before if np.isfinite(before) else held[0]], held])
         same = STILL * float(np.ptp(held))
         phase[:] = np.where(np.abs(held - held[0]) <= same, "rest", "hold")
         settle, turn = round(SETTLE / step), round(REVERSAL / step)
-        before: _Motion | None = None
+        last: _Motion | None = None
         for motion in _motions(held, settle, same):
             phase[motion.first : motion.last + settle + 1] = "rise"
-            if before and motion.change * before.change < 0 and motion.first - before.last <= settle:
+            if last and motion.change * last.change < 0 and motion.first - last.last <= settle:
                 phase[motion.first : motion.first + turn] = "reversal"
             direction[motion.first :] = "up" if motion.change > 0 else "down"
             amplitude[motion.first :] = abs(motion.change)
-            before = motion
-        phase[~sent] = "no command"
-    return Phases(phase.astype(str), direction.astype(str), amplitude)
+            last = motion
+        phase[1:][~sent] = "no command"
+    return Phases(phase[1:].astype(str), direction[1:].astype(str), amplitude[1:])
+
+
+def target_before(time: Array, command: Array, measured: Array) -> float:
+    """The target in rad until time zero, of a command (T,) that begins with a step; NaN where it does not.
+
+    Trials begin with their first command, so that only the joint (T,) tells where it came from: it starts elsewhere,
+    and goes to the target.
+    """
+    if not (len(time) and np.isfinite(command[0]) and np.isfinite(measured[0])):
+        return np.nan
+    jump = float(command[0] - measured[0])
+    size = float(np.nanmax(np.abs(np.append(command, measured[0]) - command[0])))
+    went = float(np.nanmax((measured[time <= time[0] + SETTLE] - measured[0]) * np.sign(jump)))
+    if abs(jump) <= STEP * size or went <= STEP * abs(jump):
+        return np.nan
+    # A servo rests a little off its target; where the command returns to that later, its value is known.
+    nearest = float(command[np.nanargmin(np.abs(command - measured[0]))])
+    return nearest if abs(nearest - measured[0]) < STEP * size else float(measured[0])
 
 
 def _motions(command: Array, pause: int, smallest: float) -> list[_Motion]:

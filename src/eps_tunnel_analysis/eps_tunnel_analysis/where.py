@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.phases import MOVING, Phases, channel_of, mean_command, phases
+from eps_tunnel_analysis.phases import MOVING, Phases, channel_of, mean_command, phases, target_before
 from eps_tunnel_analysis.shown import shown_value
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.trials import Array, Trials
@@ -57,7 +57,11 @@ def where(real: Trials, sim: Trials) -> tuple[Misfit, ...]:
     """
     measured, simulated = build_tunnel(real).mean, build_tunnel(sim).mean
     command = mean_command(real)
-    labels = {name: phases(real.time, command[:, u]) for u, name in enumerate(real.command_channels)}
+    labels = {}
+    for u, name in enumerate(real.command_channels):
+        known = name in real.signals
+        before = target_before(real.time, command[:, u], measured[:, real.index(name)]) if known else np.nan
+        labels[name] = phases(real.time, command[:, u], before)
     rows: list[Misfit] = []
     for i, signal in enumerate(real.signals):
         error = simulated[:, i] - measured[:, i]

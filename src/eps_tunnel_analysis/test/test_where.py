@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from tunnel_cases import make_trials, pairs
 
-from eps_tunnel_analysis.phases import MEANING, MOVING, channel_of, phases
+from eps_tunnel_analysis.phases import MEANING, MOVING, channel_of, phases, target_before
 from eps_tunnel_analysis.where import sentences, where
 
 STEP = 0.01
@@ -58,6 +58,31 @@ def test_a_command_that_never_moves_is_rest():
     assert set(phases(TIME, np.full(600, 0.2)).phase) == {"rest"}
     assert set(phases(TIME, np.full(600, np.nan)).phase) == {"no command"}
     assert "rest" in MEANING
+
+
+@pytest.mark.parametrize("back", [False, True], ids=["a single step", "a step there and back"])
+def test_a_step_at_time_zero_is_a_rise_from_the_initial_pose(back):
+    command = np.full(600, -0.04)
+    if back:
+        command[200:] = 0.04
+    measured = -0.037 + 0.074 * np.exp(-TIME / 0.1)  # it rests a little off its target at either end
+    before = target_before(TIME, command, measured)
+    assert before == pytest.approx(0.04 if back else 0.037)
+    label = phases(TIME, command, before)
+    assert [at(label.phase, s) for s in (0.0, 0.4, 1.5)] == ["rise", "rise", "hold"]
+    assert [at(label.direction, s) for s in (0.0, 1.5)] == ["down", "down"]
+    assert at(label.amplitude, 0.0) == pytest.approx(0.08 if back else 0.077)
+    if back:
+        assert [at(label.phase, s) for s in (2.1, 4.0)] == ["rise", "rest"]
+
+
+def test_an_offset_from_a_target_that_stands_is_no_step():
+    rest = np.full(600, 0.04)
+    assert np.isnan(target_before(TIME, rest, np.full(600, 0.03)))
+    assert np.isnan(target_before(TIME, step_command(), np.full(600, 0.01)))
+    assert np.isnan(target_before(TIME, np.full(600, np.nan), np.zeros(600)))
+    later = phases(TIME, step_command(), np.nan)
+    assert np.array_equal(later.phase, phases(TIME, step_command(), 0.0).phase)
 
 
 def test_a_signal_finds_its_command_channel():
