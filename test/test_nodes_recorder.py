@@ -77,6 +77,22 @@ def test_an_interrupted_recorder_leaves_a_whole_bag(recording: Recording, number
     assert len(found.topics["/real/joint_states"]) > 50
 
 
+def test_what_came_before_the_stop_is_in_the_bag_however_far_behind_the_recorder_is(recording: Recording) -> None:
+    recording.until(lambda: len(recording.sent) > 50)
+    process = recording.processes._running["analysis_node"]
+    process.send_signal(signal.SIGSTOP)
+    try:
+        held = len(recording.sent)
+        recording.until(lambda: len(recording.sent) > held + 150)
+        sent = np.array(recording.sent)
+        future = recording.record.call_async(Record.Request(start=False))
+    finally:
+        process.send_signal(signal.SIGCONT)
+    answer = recording.result(future)
+    assert answer.success, answer.message
+    assert np.isin(sent, read(recording.bag).stamps("/real/joint_states")).all()
+
+
 def test_a_second_recording_is_refused_and_stop_names_the_bags(recording: Recording) -> None:
     ask = {"start": True, "folder": str(recording.folder / "more")}
     again = recording.call(recording.record, Record.Request(label="other", **ask))

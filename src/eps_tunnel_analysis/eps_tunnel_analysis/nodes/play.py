@@ -201,39 +201,43 @@ class Play:
         The deadlines are absolute, so that a late tick does not move those after it; rows whose time passed meanwhile
         are left out, as a held command would be. With `strict` more than `Limits.stall` of them are too many.
         """
-        begin = max(run.next_tick, time.monotonic())
-        run.wait(begin)
-        begin_ns = self._clock.now().nanoseconds
+        run.wait(max(run.next_tick, time.monotonic()))
+        begin, begin_ns = time.monotonic(), self._clock.now().nanoseconds
         step = 0
         while step < len(rows[0]):
-            # The stamp is that of the tick, not of the moment it was served: even steps of time, whatever the load.
-            stamp_ns = begin_ns + round(step / self._rate * 1e9)
             now = time.monotonic()
             drift = (self._clock.now().nanoseconds - begin_ns) * 1e-9 - (now - begin)
             if abs(drift) > 1.0:
                 raise Ended(f"the clock jumped by {drift:+.1f} s while playing.")
+            self._check_silence(now, run)
             if step == 0 and first is not None:
                 first(begin_ns)
-            stamp = to_time(stamp_ns)
+            # The stamp is that of the tick, not of the moment it was served: even steps of time, whatever the load.
+            stamp = to_time(begin_ns + round(step / self._rate * 1e9))
             for side, targets in zip(self._sides, rows, strict=True):
                 side.send(stamp, command, targets[step])
-            for side in self._sides:
-                if side.silence > self._limits.silence:
-                    raise Ended(
-                        f"{side.name} fell silent: no joint states for {side.silence:.1f} s on {side.topics[1]}."
-                    )
             run.report(now)
+            run.next_tick = begin + (step + 1) / self._rate
+            if step + 1 < len(rows[0]):
+                run.wait(run.next_tick)
             due = int((time.monotonic() - begin) * self._rate)
-            if strict and due - step > self._limits.stall * self._rate:
+            if strict and due - step - 1 > self._limits.stall * self._rate:
                 raise Stalled(
                     f"the player was not served for {(due - step) / self._rate:.2f} s; the machine is too busy. Close "
                     "other programs, or raise `stall_timeout`."
                 )
             step = max(step + 1, due)
-            run.next_tick = begin + step / self._rate
-            if step < len(rows[0]):
-                run.wait(run.next_tick)
         return begin_ns
+
+    def _check_silence(self, now: float, run: "_Run") -> None:
+        """Raises Ended when a side fell silent while this process could have heard it."""
+        if now - run.awake > self._limits.stall:
+            for side in self._sides:
+                side.excuse(now)
+        run.awake = now
+        for side in self._sides:
+            if side.silence > self._limits.silence:
+                raise Ended(f"{side.name} fell silent: no joint states for {side.silence:.1f} s on {side.topics[1]}.")
 
 
 class _Run:
@@ -247,7 +251,7 @@ class _Run:
         self._work = [command.duration + 2.5 for command in sequence.commands for _ in range(trials)]
         self.trial, self.trials, self.phase = 0, len(self._work), "returning"
         self.lateness: list[float] = []
-        self._began = self._trial_began = time.monotonic()
+        self._began = self._trial_began = self.awake = time.monotonic()
         self.next_tick = 0.0
         self._next_report = 0.0
 

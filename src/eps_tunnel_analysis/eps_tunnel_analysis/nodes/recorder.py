@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -31,6 +32,7 @@ TOPICS: Mapping[str, Any] = {
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 # Deep enough for some seconds in which this process is not scheduled.
 DEEP = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+PERIOD = 0.01  # s between two looks at what has come; a wake-up per message takes several times the processor
 LIBRARIES = ("eps_tunnel_analysis", "labyrinth_sim", "labyrinth_hw", "mujoco", "rosbags", "numpy")
 
 Listener = Callable[[str, str, bytes, int], None]
@@ -43,7 +45,8 @@ class Recorder:
         self._node, self._listen, self._images = node, listen, images
         self._writers: dict[str, BagWriter] = {}
         self._topics: dict[str, dict[str, str]] = {side: {} for side in sides}
-        self._subscriptions: list[Subscription] = []
+        self._subscriptions: list[tuple[Subscription, _Order, Callable[[int, bytes], None]]] = []
+        self._polled = _Polled()
         self._unknown: set[str] = set()
         self.restarts: dict[str, int] = {}
         self.errors: list[str] = []
@@ -51,11 +54,22 @@ class Recorder:
         for side in sides:
             for name, kind in TOPICS.items():
                 self._subscribe(side, f"/{side}/{name}", kind)
+        node.create_timer(PERIOD, self.take)
 
     @property
     def bags(self) -> list[str]:
         """Paths of the bags being written."""
         return [str(writer.path) for writer in self._writers.values()]
+
+    def take(self) -> None:
+        """Handles every message that has come, in the order of arrival over all topics."""
+        came: list[tuple[int, Callable[[int, bytes], None], bytes]] = []
+        for subscription, order, handle in self._subscriptions:
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    came.append((order.arrival(taken[1]), handle, taken[0]))
+        for arrival, handle, message in sorted(came, key=lambda entry: entry[0]):
+            handle(arrival, message)
 
     def look(self) -> None:
         """Subscribes to topics that are new under a side's namespace."""
@@ -102,7 +116,11 @@ class Recorder:
         return self.bags
 
     def stop(self) -> list[str]:
-        """Closes the bags and returns their paths. Raises InputError when one cannot be finished."""
+        """Closes the bags, with all that came until now, and returns their paths.
+
+        Raises InputError when one cannot be finished.
+        """
+        self.take()
         bags, writers = self.bags, list(self._writers.values())
         self._writers = {}
         for writer in writers:
@@ -117,8 +135,7 @@ class Recorder:
     def _subscribe(self, side: str, name: str, kind: Any) -> None:
         order = _Order()
 
-        def received(message: bytes, info: MessageInfo) -> None:
-            arrival = order.arrival(info)
+        def received(arrival: int, message: bytes) -> None:
             self.restarts[name] = order.restarts
             writer = self._writers.get(side)
             if writer is not None:
@@ -128,12 +145,13 @@ class Recorder:
                     self._fail(str(error))
             self._listen(side, name, message, arrival)
 
-        # Each event handler is one thing more to wait for with every message; without them this process
-        # takes a third less.
+        # Each event handler is one thing more that the executor waits for.
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
-        subscription = self._node.create_subscription(kind, name, received, DEEP, raw=True, event_callbacks=silent)
+        subscription = self._node.create_subscription(
+            kind, name, lambda _: None, DEEP, raw=True, event_callbacks=silent, callback_group=self._polled
+        )
         topic = subscription.topic_name
-        self._subscriptions.append(subscription)
+        self._subscriptions.append((subscription, order, received))
         self._topics[side][topic] = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
         if side in self._writers:
             self._announce(self._writers[side], side, topic, self._topics[side][topic])
@@ -148,6 +166,19 @@ class Recorder:
         if message not in self.errors:
             self.errors.append(message)
             self._node.get_logger().error(message)
+
+
+class _Polled(CallbackGroup):
+    """Of subscriptions that no executor waits for."""
+
+    def can_execute(self, entity: object) -> bool:
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        pass
 
 
 class _Order:

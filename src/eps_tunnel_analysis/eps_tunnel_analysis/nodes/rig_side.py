@@ -56,6 +56,11 @@ class RigSide:
         """s since the last joint states."""
         return time.monotonic() - self._heard
 
+    def excuse(self, now: float) -> None:
+        """Starts the silence anew at `now`, monotonic s: until then this process could not listen."""
+        if math.isfinite(self._heard):
+            self._heard = max(self._heard, now)
+
     def send(self, stamp: Time, command: Command, targets: Array) -> None:
         """Publishes targets (u,) in rad of the command's channels."""
         message = JointState(name=list(command.channels), position=targets.tolist())
