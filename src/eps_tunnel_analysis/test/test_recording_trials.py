@@ -173,6 +173,15 @@ def test_values_that_are_not_finite_are_refused(tmp_path: Path, bad: float) -> N
         read_trials([bag])
 
 
+def test_what_is_not_finite_before_the_first_command_is_no_part_of_the_trial(tmp_path: Path) -> None:
+    time = np.arange(201) / 100
+    stamps = START - SECOND // 2 + np.round(time * SECOND).astype(np.int64)
+    positions = measured(time)
+    positions[:3] = np.nan
+    trials = read_trials([write_bag(tmp_path / "bag", positions=positions, stamps=stamps)]).trials
+    assert np.isfinite(trials.values).all()
+
+
 def test_a_joint_missing_in_some_messages_is_refused(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic("/real/joint_states", JOINT_STATE)

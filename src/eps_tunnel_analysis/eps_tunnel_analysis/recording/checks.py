@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.recording.channel_map import ChannelMap
 from eps_tunnel_analysis.recording.message_types import BALL_STATE
 from eps_tunnel_analysis.recording.recording import Recording, StampedTopic
+from eps_tunnel_analysis.recording.windows import Window
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array
 
@@ -23,8 +24,13 @@ def seen(topic: StampedTopic) -> NDArray[np.bool_]:
     return np.ones(len(topic), dtype=np.bool_)
 
 
+def usable(topic: StampedTopic, column: str) -> NDArray[np.bool_]:
+    """(n,) which messages carry a finite value of a column."""
+    return seen(topic) & np.isfinite(topic.columns[column])
+
+
 def check_channels(recording: Recording, channels: ChannelMap) -> None:
-    """Raises InputError unless every named column is there, in every message, with finite values."""
+    """Raises InputError unless every named column is there, in every message."""
     complaints: list[str] = []
     for source in (*channels.signals, *channels.commands):
         try:
@@ -44,15 +50,26 @@ def check_channels(recording: Recording, channels: ChannelMap) -> None:
                 f"{where}: joint '{joint}' has no {quantity} in {topic.absent[source.column]} of {len(topic)} "
                 "messages. Expected the same joints in every message; look for a second publisher on the topic."
             )
-        else:
-            bad = np.flatnonzero(~np.isfinite(topic.columns[source.column]) & seen(topic))
-            if len(bad):
-                since = (recording.stamps(source.topic)[bad[0]] - recording.stamps(source.topic)[0]) * 1e-9
-                complaints.append(
-                    f"{where}: {source.column} is NaN or infinite in {len(bad)} of {len(topic)} messages, first "
-                    f"{since:.3f} s after the topic's first. Expected finite numbers; look for a broken sensor "
-                    "channel, or leave the signal out."
-                )
+    if complaints:
+        raise InputError(dict.fromkeys(complaints))
+
+
+def check_finite(recording: Recording, channels: ChannelMap, found: Sequence[Window]) -> None:
+    """Raises InputError where a value within a trial is NaN or infinite; what lies between trials is not used."""
+    complaints: list[str] = []
+    for source in (*channels.signals, *channels.commands):
+        topic, stamps = recording.topics[source.topic], recording.stamps(source.topic)
+        inside = np.zeros(len(topic), dtype=np.bool_)
+        for window in found:
+            inside |= (stamps >= window.start) & (stamps <= window.start + round(window.seconds * 1e9))
+        bad = np.flatnonzero(~np.isfinite(topic.columns[source.column]) & seen(topic) & inside)
+        if len(bad):
+            complaints.append(
+                f"{recording.path}: topic '{source.topic}': {source.column} is NaN or infinite in {len(bad)} of "
+                f"{len(topic)} messages, first {(stamps[bad[0]] - stamps[0]) * 1e-9:.3f} s after the topic's first. "
+                "Expected finite numbers throughout every trial; look for a broken sensor channel, or leave the signal "
+                "out."
+            )
     if complaints:
         raise InputError(dict.fromkeys(complaints))
 

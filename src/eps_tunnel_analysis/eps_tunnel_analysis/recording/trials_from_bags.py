@@ -15,7 +15,13 @@ from eps_tunnel_analysis.recording.channel_map import (
     guessed_map,
     namespace_of,
 )
-from eps_tunnel_analysis.recording.checks import check_channels, check_same_channels, check_same_commands, seen
+from eps_tunnel_analysis.recording.checks import (
+    check_channels,
+    check_finite,
+    check_same_channels,
+    check_same_commands,
+    usable,
+)
 from eps_tunnel_analysis.recording.reader import read
 from eps_tunnel_analysis.recording.recording import Recording, TimeSource
 from eps_tunnel_analysis.recording.resample import hold, interpolate
@@ -150,7 +156,9 @@ def collect(
             channels = channels.select(signals) if signals is not None else channels
             check_channels(recording, channels)
             maps.append(channels)
-            spans += [Span(recording, channels, window) for window in windows(recording, channels, notes)]
+            found = windows(recording, channels, notes)
+            check_finite(recording, channels, found)
+            spans += [Span(recording, channels, window) for window in found]
         except InputError as error:
             complaints += error.complaints
     if complaints:
@@ -215,7 +223,7 @@ def _values(span: Span, grid: NDArray[np.int64], max_gap: float) -> Array:
     out = np.empty((len(grid), len(sources)))
     for i, source in enumerate(sources):
         topic = recording.topics[source.topic]
-        there = seen(topic)
+        there = usable(topic, source.column)
         stamps = recording.stamps(source.topic)
         out[:, i] = interpolate(stamps[there], topic.columns[source.column][there], grid, max_gap)
     return out
@@ -227,13 +235,14 @@ def commands_on(span: Span, grid: NDArray[np.int64], max_hold: float | None) -> 
     out = np.empty((len(grid), len(sources)))
     for i, source in enumerate(sources):
         topic = recording.topics[source.topic]
-        out[:, i] = hold(recording.stamps(source.topic), topic.columns[source.column], grid, max_hold)
+        there = usable(topic, source.column)
+        out[:, i] = hold(recording.stamps(source.topic)[there], topic.columns[source.column][there], grid, max_hold)
     return out
 
 
 def _gaps(recording: Recording, source: Source, window: Window, max_gap: float) -> Iterator[tuple[float, float]]:
     topic = recording.topics[source.topic]
-    stamps = recording.stamps(source.topic)[seen(topic)]
+    stamps = recording.stamps(source.topic)[usable(topic, source.column)]
     for i in np.flatnonzero(np.diff(stamps) > round(max_gap * 1e9)):
         start, length = (stamps[i] - window.start) * 1e-9, (stamps[i + 1] - stamps[i]) * 1e-9
         if start + length > 0 and start < window.seconds:
