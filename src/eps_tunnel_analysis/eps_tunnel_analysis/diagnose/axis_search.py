@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One axis at a time: its signals, its base values, its candidates, and the refits of all of them.
+
+Axes hardly couple, so an axis whose signals the model explains needs no candidates, and the others are searched with
+half the values.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
+from eps_tunnel_analysis.diagnose.noise import NoiseFloor, noise_floor
+from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.fit.free import by_axis, default_free
+from eps_tunnel_analysis.fit.objective import Objective, middle
+from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.tunnel import build_tunnel
+from labyrinth_sim.model import Model
+
+COARSE = 0.005  # s, MuJoCo's step while searching
+FINE = 0.0025  # s, while judging; finer changes nothing that shows
+BLOCK = 0.6  # s; every KEEP_EVERYth block of samples is kept from the fit
+KEEP_EVERY = 3
+TURN = 0.05  # s over which a change of the command's speed counts as one
+SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
+SETTLED = 0.25  # s after which a motion is steady again
+EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves
+EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
+SHORTLIST = 12  # candidates refitted from their looks
+LOOKS_EACH = 2
+ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class AxisPart:
+    """What belongs to one axis.
+
+    Attributes:
+        axis: its short name.
+        signals: compared; positions first, then efforts.
+        base: full names of the values refitted with every candidate.
+    """
+
+    axis: str
+    signals: tuple[str, ...]
+    base: tuple[str, ...]
+
+
+def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
+    """Every axis that has a signal in all plays."""
+    names = [n for n in default_free(model) if not _silent_integral(model, n)]
+    base = {part.axis: part.free for part in by_axis(model, names, plays, None)}
+    parts = []
+    for axis in model.rig.axes:
+        seen = [m for m in axis.measured if all(m.signal in p.trials.signals for p in plays)]
+        chosen = [m.signal for q in ("position", "torque") for m in seen if m.quantity == q]
+        if any(m.quantity == "position" for m in seen):
+            parts.append(AxisPart(axis.name, tuple(chosen), tuple(base.get(axis.name, ()))))
+    return parts
+
+
+def _silent_integral(model: Model, name: str) -> bool:
+    """A drive whose law has no integral part keeps none: it would stand in for any steady torque."""
+    return name.startswith("drive.") and name.endswith(".i") and model.values()[name] == 0.0
+
+
+def axis_search(
+    model: Model,
+    plays: Sequence[Play],
+    part: AxisPart,
+    only: Sequence[str] | None = None,
+    timestep: float | None = COARSE,
+    nthread: int = 0,
+    told: Callable[[int], None] | None = None,
+) -> Search:
+    """A search over the candidates of one axis."""
+    whole = library(model, part.base, only=only)
+    mine = tuple(c for c in whole.candidates if c.axes == (part.axis,))
+    for candidate in whole.candidates:
+        if candidate not in mine:
+            whole = replace(whole, model=whole.model.without_effect(candidate.effect.name, candidate.place))
+    lib = Library(whole.model, part.base, mine)
+    objective = Objective(lib.model, lib.names, plays, part.signals, timestep, nthread)
+    fine = Objective(lib.model, lib.names, plays, part.signals, FINE, nthread)
+    torque = [m.signal for m in model.rig.measured if m.quantity == "torque"]
+    channel = next(axis.command for axis in model.rig.axes if axis.name == part.axis)
+    used = np.flatnonzero(~np.isin(objective.blocks % len(part.signals), efforts := _columns(part.signals, torque)))
+    if efforts:
+        used = np.sort(np.concatenate([used, _steady_efforts(objective, plays, channel, efforts)]))
+    floor = pooled_floor(plays, part.signals, efforts, channel)
+    return Search(lib, objective, fine, floor, kept_samples(objective, plays), used, told)
+
+
+def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
+    return [i for i, name in enumerate(signals) if name in which]
+
+
+def _steady_efforts(
+    objective: Objective, plays: Sequence[Play], channel: str, columns: Sequence[int]
+) -> NDArray[np.int64]:
+    """Samples of an objective that belong to efforts and to steady motion."""
+    found = []
+    for number, play in enumerate(plays):
+        calm = steady(play, channel)
+        for column in columns:
+            part = np.flatnonzero(objective.blocks == number * len(objective.signals) + column)
+            seen = np.isfinite(build_tunnel(play.trials.select([objective.signals[column]])).mean[:, 0])
+            found.append(part[calm[seen]])
+    return np.concatenate(found)
+
+
+def steady(play: Play, channel: str) -> NDArray[np.bool_]:
+    """(T,) where the command has kept its speed for a while: at rest, on ramps, between the turns of a triangle.
+
+    Elsewhere a drive's effort is inertia, sampled once between the beats of a controller: not comparable.
+    """
+    trials = play.trials
+    command = middle(trials.commands)[:, trials.command_channels.index(channel)]
+    held = np.where(np.isfinite(command), command, 0.0)
+    span = max(1, round(TURN / trials.step))
+    speed = np.gradient(held, trials.step) if len(held) > 1 else np.zeros_like(held)
+    turn = maximum_filter1d(speed, span) - minimum_filter1d(speed, span)
+    busy = turn > SPEED_CHANGE * max(float(np.ptp(held)), 1e-9)
+    recent = max(1, round(SETTLED / trials.step))
+    return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)
+
+
+def pooled_floor(
+    plays: Sequence[Play], signals: Sequence[str], efforts: Sequence[int] = (), channel: str = ""
+) -> NoiseFloor:
+    """The noise floor of the plays' trials, the mean square over the plays.
+
+    Efforts get one of their own: a servo reports them in steps of its full load and by a torque constant that is known
+    to a few percent.
+    """
+    floors = []
+    for play in plays:
+        trials = play.trials.select(signals)
+        found = noise_floor(trials)
+        own = np.zeros(len(signals))
+        for i in efforts:
+            mean = np.nanmean(trials.values[:, :, i], axis=0)
+            calm = mean[steady(play, channel)]
+            size = float(np.sqrt(np.nanmean(calm**2))) if len(calm) else 0.0
+            own[i] = np.hypot(EFFORT_STEP * float(np.nanmax(np.abs(mean))), EFFORT_SHARE * size)
+        floors.append(replace(found, floor=np.hypot(found.floor, own)))
+    mean_of = {
+        name: np.sqrt(np.mean([getattr(f, name) ** 2 for f in floors], axis=0))
+        for name in ("repeat", "resolution", "floor")
+    }
+    return NoiseFloor(tuple(signals), **mean_of)
+
+
+def kept_samples(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool_]:
+    """(R,) samples kept from the fit: every third block, so that each kind of motion is on both sides."""
+    kept = np.zeros(len(objective.mean), dtype=bool)
+    step = plays[0].trials.step
+    every = max(1, round(BLOCK / step))
+    for block in np.unique(objective.blocks):
+        part = np.flatnonzero(objective.blocks == block)
+        kept[part] = (np.arange(len(part)) // every) % KEEP_EVERY == KEEP_EVERY - 1
+    return kept
+
+
+def base_refit(search: Search, rounds: int = 8) -> Refit:
+    """The base values alone, from where the model has them."""
+    coarse = search.refit([((), search.start)], rounds)[0]
+    found = search.refit([((), coarse.values)], rounds, fine=True)[0]
+    search.settle_at(found)
+    return found
+
+
+def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST) -> list[Refit]:
+    """Every candidate refitted on top of a refit: looks, then descents of the most promising; best first."""
+    search.settle_at(on)
+    taken = set(on.effects)
+    candidates = [c for c in search.library.candidates if c.name not in taken]
+    nominal = on.values.copy()
+    nominal[: len(search.library.base)] = search.start[: len(search.library.base)]
+    # Base values that made up for the missing effect lie in the wrong valley; the model's own may not.
+    points = [on] if not on.effects and np.allclose(nominal, on.values) else [on, search.at(nominal, on)]
+    jobs: list[tuple[tuple[Candidate, ...], np.ndarray]] = []
+    chosen: dict[str, int] = {}
+    fitted = tuple(search.library.find(name) for name in on.effects)
+    for candidate, values, _ in search.looks(points, candidates):
+        count = chosen.get(candidate.name, 0)
+        if count >= LOOKS_EACH or (count == 0 and len(chosen) >= shortlist):
+            continue
+        chosen[candidate.name] = count + 1
+        jobs.append(((*fitted, candidate), values))
+    return search.best_of(jobs, ROUNDS)

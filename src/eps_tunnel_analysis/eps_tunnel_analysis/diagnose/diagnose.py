@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The diagnosis: recordings and a model in, a verdict with its evidence out."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.compare import Comparison, compare
+from eps_tunnel_analysis.diagnose.axis_search import (
+    BLOCK,
+    KEEP_EVERY,
+    AxisPart,
+    axis_parts,
+    axis_search,
+    base_refit,
+    next_refits,
+)
+from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
+from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
+from eps_tunnel_analysis.diagnose.gate import gate
+from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, joint, penalty, rank
+from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
+from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.rollout import roll_out
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.model import Model
+from labyrinth_sim.trials import Array, Trials
+
+KS = (1.0, 2.0, 3.0, 5.0)
+MOST_EFFECTS = 3  # named together on one axis
+PAIR_SHORTLIST = 8
+MOVES = 1e-3  # rad; a command that spans less excites nothing
+
+
+@dataclass(frozen=True)
+class AxisDiagnosis:
+    """What was found on one axis: refits of every set tried, the ranking, and what is left.
+
+    Attributes:
+        base, best: residuals before and after; `best` is the base where nothing is named.
+        probabilities: name of a set -> probability, "none" and "unknown" among them.
+    """
+
+    part: AxisPart
+    search: Search
+    base: Refit
+    refits: tuple[Refit, ...]
+    ranking: tuple[Ranked, ...]
+    probabilities: Mapping[str, float]
+
+    @property
+    def best(self) -> Refit:
+        """The most probable refit, whether or not it explains all; the base where that is more probable."""
+        for ranked in self.ranking:
+            for refit in (self.base, *self.refits):
+                if refit.effects == ranked.effects:
+                    return refit
+        return self.base
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The verdict, the models and comparisons behind it, axis by axis.
+
+    Attributes:
+        base_model: the given model with its values refitted.
+        model: the same with the named effects, fitted; the base model where none is named.
+        experiment: what to play next where two hypotheses are left, else None.
+    """
+
+    verdict: Verdict
+    axes: tuple[AxisDiagnosis, ...]
+    base_model: Model
+    model: Model
+    given: Comparison
+    before: Comparison
+    after: Comparison
+    experiment: Experiment | None
+
+
+Progress = Callable[[str, int], None]
+"""Told what is being done and how many roll-outs were made."""
+
+
+def diagnose(
+    model: Model,
+    plays: Sequence[Play],
+    seed: int = 0,
+    only: Sequence[str] | None = None,
+    nthread: int = 0,
+    told: Progress | None = None,
+    experiments: bool = True,
+) -> Diagnosis:
+    """Names what a model lacks.
+
+    Args:
+        model: as far as it is known; its drives' values need not be right.
+        plays: recorded commands with their trials.
+        seed: kept with the result; nothing is drawn at random.
+        only: names of effects to consider; the whole library by default.
+        experiments: look for the experiment that decides, where the recordings do not.
+
+    Raises:
+        InputError: no axis with a measured position and a command that moves it, unknown effect names.
+    """
+    started = time.monotonic()
+    parts = axis_parts(model, plays)
+    moved = [p for p in parts if _moved(model, p, plays)]
+    if not moved:
+        raise InputError(
+            "No recorded command moves an axis whose position is measured, so no effect can be seen. "
+            "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
+        )
+    axes = tuple(_axis(model, plays, part, only, nthread, told) for part in moved)
+    probabilities = joint([axis.probabilities for axis in axes])
+    kind, named, stated = decide(probabilities, CALIBRATION.coverage)
+    base_model = _with(model, axes, {})
+    chosen = set(named)
+    final = _with(model, axes, {a.part.axis: _refit_of(a, chosen) for a in axes})
+    given, before, after = (_compared(m, plays) for m in (model, base_model, final))
+    experiment = None
+    if experiments and kind == "undecided":
+        experiment = next_experiment(axes, base_model, stated)
+    evaluations = sum(axis.search.evaluations for axis in axes)
+    verdict = Verdict(
+        verdict=kind,
+        effects=named,
+        set=probabilities,
+        stated=stated,
+        coverage=CALIBRATION.coverage,
+        sentence=sentence(kind, named, stated, probabilities),
+        where=before[0].spans,
+        given=_errors(given),
+        before=_errors(before),
+        after=_errors(after),
+        floor={a.part.axis: (a.base.overall, _refit_of(a, chosen).overall) for a in axes},
+        ranking={a.part.axis: a.ranking for a in axes},
+        values={n: v for n, v in final.values().items() if n in _fitted(axes, chosen)},
+        seed=seed,
+        evaluations=evaluations,
+        seconds=time.monotonic() - started,
+        next_experiment=experiment.name if experiment else None,
+        notes=_notes(model, parts, moved, plays, axes),
+    )
+    return Diagnosis(verdict, axes, base_model, final, given[0], before[0], after[0], experiment)
+
+
+def _axis(
+    model: Model,
+    plays: Sequence[Play],
+    part: AxisPart,
+    only: Sequence[str] | None,
+    nthread: int,
+    told: Progress | None,
+) -> AxisDiagnosis:
+    search = axis_search(
+        model, plays, part, only, nthread=nthread, told=(lambda n: told(f"axis {part.axis}", n)) if told else None
+    )
+    base = base_refit(search)
+    tried = len(search.library.candidates)
+    refits: list[Refit] = []
+    if base.overall > CALIBRATION.gate * CALIBRATION.clean and tried:
+        refits = next_refits(search, base)
+        best = refits[0] if refits else base
+        while refits and best.overall > CALIBRATION.gate and len(best.effects) < MOST_EFFECTS:
+            more = next_refits(search, best, PAIR_SHORTLIST)
+            if not more or not _worth(more[0], best, search, tried):
+                break
+            best = _without_idle(search, more[0], refits, tried)
+            refits += [r for r in more if set(r.effects) not in [set(o.effects) for o in refits]]
+            if best is not more[0]:
+                break
+    independent = _independent(search, min(refits, key=lambda r: r.overall) if refits else base)
+    ranking, unknown = rank(base, refits, independent, tried)
+    probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
+    return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities)
+
+
+def _worth(more: Refit, best: Refit, search: Search, tried: int) -> bool:
+    """Whether one more effect gains more than it costs."""
+    n = _independent(search, more)
+    pays = penalty(more.free - best.free, 1, n, tried)
+    return 0.5 * n * np.log(best.overall / more.overall) / CALIBRATION.temperature > pays
+
+
+def _without_idle(search: Search, found: Refit, singles: Sequence[Refit], tried: int) -> Refit:
+    """The refit, or a smaller one that does as well: each named effect must be needed."""
+    for name in found.effects[:-1]:
+        rest = tuple(n for n in found.effects if n != name)
+        smaller = next((r for r in singles if set(r.effects) == set(rest)), None)
+        if smaller is not None and not _worth(found, smaller, search, tried):
+            return smaller
+    return found
+
+
+def _independent(search: Search, refit: Refit) -> float:
+    return gate(refit.residuals, search.blocks, np.zeros(len(refit.residuals))).independent
+
+
+def _refit_of(axis: AxisDiagnosis, named: set[str]) -> Refit:
+    """The refit whose effects are those named on this axis; the base where none is."""
+    mine = {c.name for c in axis.search.library.candidates} & named
+    return next((r for r in axis.refits if set(r.effects) == mine), axis.base) if mine else axis.base
+
+
+def _with(model: Model, axes: Sequence[AxisDiagnosis], refits: Mapping[str, Refit]) -> Model:
+    """A model with the refits' effects and values; an axis without one gets its base's values."""
+    for axis in axes:
+        refit = refits.get(axis.part.axis, axis.base)
+        library = axis.search.library
+        values = dict(zip(library.names, (float(v) for v in refit.values), strict=True))
+        for name in refit.effects:
+            candidate = library.find(name)
+            model = model.with_effect(candidate.effect, candidate.place)
+            model = model.with_values({p: values[p] for p in candidate.parameters}, "diagnosis")
+        model = model.with_values({p: values[p] for p in library.base}, "diagnosis")
+    return model
+
+
+def with_named(model: Model, diagnosis: Diagnosis) -> Model:
+    """The given model with what a diagnosis fitted and named."""
+    chosen = set(diagnosis.verdict.effects)
+    return _with(model, diagnosis.axes, {a.part.axis: _refit_of(a, chosen) for a in diagnosis.axes})
+
+
+def _fitted(axes: Sequence[AxisDiagnosis], named: set[str]) -> set[str]:
+    names: set[str] = set()
+    for axis in axes:
+        names |= set(axis.search.library.base)
+        for effect in _refit_of(axis, named).effects:
+            names |= set(axis.search.library.find(effect).parameters)
+    return names
+
+
+def _moved(model: Model, part: AxisPart, plays: Sequence[Play]) -> bool:
+    channel = next(axis.command for axis in model.rig.axes if axis.name == part.axis)
+    spans = [np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in (_commands(p, channel) for p in plays)]
+    return max(spans) > MOVES
+
+
+def _commands(play: Play, channel: str) -> Array:
+    return np.asarray(play.trials.commands[:, :, play.trials.command_channels.index(channel)])
+
+
+def _compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
+    found = []
+    for play in plays:
+        names = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in play.trials.signals]
+        found.append(compare(play.trials.select(names), roll_out(model, play.trials).select(names), KS))
+    return found
+
+
+def _errors(comparisons: Sequence[Comparison]) -> Errors:
+    errors = [e.command_error for c in comparisons for e in c.errors]
+    kept = []
+    for c in comparisons:
+        off = np.abs(c.sim_tunnel.mean - c.real_tunnel.mean)
+        kept.append(np.nanmean(off[_kept(c.real)]))
+    joint_share = float(np.mean([c.alikeness[0].joint for c in comparisons]))
+    return Errors(float(np.nanmean(errors)), float(np.nanmean(kept)), joint_share)
+
+
+def _kept(trials: Trials) -> NDArray[np.bool_]:
+    every = max(1, round(BLOCK / trials.step)) if trials.step else 1
+    return np.asarray((np.arange(len(trials.time)) // every) % KEEP_EVERY == KEEP_EVERY - 1)
+
+
+def _notes(
+    model: Model,
+    parts: Sequence[AxisPart],
+    moved: Sequence[AxisPart],
+    plays: Sequence[Play],
+    axes: Sequence[AxisDiagnosis],
+) -> tuple[str, ...]:
+    notes = []
+    if any(play.trials.count == 1 for play in plays):
+        notes.append(
+            "One trial only: what the rig repeats is unknown, so the noise floor is the sensors' resolution alone and "
+            "an effect may be named where only noise was. Record five trials."
+        )
+    for part in parts:
+        if part not in moved:
+            notes.append(f"No command moves axis {part.axis}: none of its effects can be seen. Play excite_12s.")
+    for axis in axes:
+        torque = {m.signal for m in model.rig.measured if m.quantity == "torque"}
+        if not torque & set(axis.part.signals):
+            notes.append(
+                f"Axis {axis.part.axis} has no recorded effort: friction under a stiff drive and dead band look alike."
+            )
+        measured = next(a for a in model.rig.axes if a.name == axis.part.axis).measured
+        positions = [m for m in measured if m.quantity == "position"]
+        seen = {m.joint for m in positions if m.signal in axis.part.signals}
+        if len(seen) < len({m.joint for m in positions}):
+            notes.append(f"Axis {axis.part.axis} has one position only: what lies between motor and load is guesswork.")
+    return tuple(notes)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gate, first and last: is what a model leaves unexplained what noise would leave?
+
+A ranking always names somebody. So before anyone is named the base alone must fail the gate, and whoever is named must
+pass it; if nobody does, the answer is "unknown".
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
+from eps_tunnel_analysis.fit.intervals import autocorrelation_length
+from labyrinth_sim.trials import Array
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What is asked of residuals in units of the noise floor.
+
+    Attributes:
+        cost: mean square of the residuals.
+        independent: how many independent samples they are worth, by their autocorrelation.
+        correlation: the largest correlation of a signal's residuals with its command or the command's speed.
+    """
+
+    cost: float
+    independent: float
+    correlation: float
+
+    @property
+    def passes(self) -> bool:
+        """Nothing is left that noise, or what a good model leaves, would not leave."""
+        return self.cost <= CALIBRATION.gate
+
+
+def gate(residuals: Array, blocks: NDArray[np.int64], commands: Array) -> Gate:
+    """Judges residuals (R,) in units of the noise floor, in unbroken runs `blocks` (R,), under commands (R,) rad."""
+    lag = autocorrelation_length(residuals, blocks.astype(float))
+    correlation = 0.0
+    for block in np.unique(blocks):
+        part = blocks == block
+        e, u = residuals[part], commands[part]
+        for shape in (u, np.gradient(u) if len(u) > 1 else u):
+            if np.ptp(shape) > 0 and np.ptp(e) > 0:
+                correlation = max(correlation, abs(float(np.corrcoef(e, shape)[0, 1])))
+    cost = float(np.mean(residuals**2)) if len(residuals) else float("nan")
+    return Gate(cost, len(residuals) / (2.0 * lag + 1.0), correlation)
+
+
+def unexplained(cost: float, base: float) -> float:
+    """Probability that a model which leaves `cost`, where the base leaves `base`, still lacks something unknown.
+
+    A strong effect is never matched to the last bit, so what may be left grows with what was there.
+    """
+    allowed = max(CALIBRATION.gate, CALIBRATION.left_over * base)
+    return _logistic(np.log(max(cost, 1e-12) / allowed) / CALIBRATION.unknown_width)
+
+
+def complete(base: float, best: float) -> float:
+    """Probability that the base lacks nothing, from what it leaves and what the best candidate would leave."""
+    level = np.log(max(base, 1e-12) / CALIBRATION.gate)
+    gain = np.log(max(base, 1e-12) / max(best, 1e-12))
+    return _logistic(-(level + CALIBRATION.gain_weight * (gain - CALIBRATION.gain)) / CALIBRATION.none_width)
+
+
+def _logistic(x: float) -> float:
+    return float(1.0 / (1.0 + np.exp(-np.clip(x, -50.0, 50.0))))

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The noise floor: how close to the measured mean any model can come."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labyrinth_sim.trials import Array, Trials, locked
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Per signal, in its unit.
+
+    Attributes:
+        signals: m names.
+        repeat: (m,) standard deviation of single trials about their mean, pooled over time.
+        resolution: (m,) smallest difference between values that the sensor tells apart, 0 where it is fine.
+        floor: (m,) root of repeat^2 / p + resolution^2 / 12: the deviation of the mean from what was really there.
+            Rounding is not averaged away by trials that repeat well, so it counts in full.
+    """
+
+    signals: tuple[str, ...]
+    repeat: Array
+    resolution: Array
+    floor: Array
+
+    def __post_init__(self) -> None:
+        for name in ("repeat", "resolution", "floor"):
+            object.__setattr__(self, name, locked(getattr(self, name)))
+
+
+def noise_floor(trials: Trials, raw: Trials | None = None) -> NoiseFloor:
+    """Noise floor of repeated trials.
+
+    Args:
+        trials: at least one; with a single one only the sensor's resolution is known.
+        raw: trials before resampling, if the grid of `trials` blurs the resolution.
+    """
+    values = trials.values
+    deviations = values - np.nanmean(values, axis=0)
+    seen = np.sum(~np.isnan(deviations), axis=(0, 1))
+    freedom = np.maximum(seen * (1.0 - 1.0 / trials.count), 1.0)
+    repeat = np.sqrt(np.nansum(deviations**2, axis=(0, 1)) / freedom)
+    steps = np.array([resolution((raw or trials).values[:, :, i]) for i in range(len(trials.signals))])
+    floor = np.sqrt(repeat**2 / trials.count + steps**2 / 12.0)
+    span = np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))
+    # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
+    return NoiseFloor(trials.signals, repeat, steps, np.maximum(floor, 1e-7 * np.maximum(span, 1e-3)))
+
+
+def resolution(values: Array, share: float = 0.2) -> float:
+    """Tick of a quantised signal (p, T): the commonest small change between neighbours, 0 if none stands out.
+
+    Interpolation onto a grid blurs some values but leaves most whole ticks apart where the signal was sampled at about
+    the grid's rate; `share` of the moving samples must agree.
+    """
+    changes = np.abs(np.diff(values, axis=1))
+    changes = changes[np.isfinite(changes) & (changes > 0)]
+    if len(changes) < 20:
+        return 0.0
+    top = float(np.quantile(changes, 0.5))
+    counts, edges = np.histogram(changes[changes <= 2.0 * top], bins=200)
+    peak = int(np.argmax(counts))
+    near = changes[(changes >= edges[max(peak - 1, 0)]) & (changes <= edges[min(peak + 2, len(edges) - 1)])]
+    tick = float(np.median(near))
+    spread = float(edges[1] - edges[0])
+    if tick < 5 * spread or len(near) < share * len(changes):
+        return 0.0
+    return tick
