@@ -133,9 +133,7 @@ class BallTracker:
             cv2.circle(mask, at, int(1.5 * size) + 1, 0, -1)
         return places
 
-    def _refine(
-        self, frame: Frame, pose: BoardPose, place: Array, ratio: float, redness: float
-    ) -> tuple[float, Array]:
+    def _refine(self, frame: Frame, pose: BoardPose, place: Array, ratio: float, redness: float) -> tuple[float, Array]:
         """Quality and centre (m) of the disc near `place` (m)."""
         best = (0.0, place)
         for _ in range(2):

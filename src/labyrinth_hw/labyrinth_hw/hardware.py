@@ -4,51 +4,18 @@
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import radians
-from pathlib import Path
 
-import yaml
-
-from labyrinth_hw import config
-from labyrinth_hw.compensation import Compensation, Compensator, compensation_from
-from labyrinth_hw.errors import BusError, HardwareError, InputError, PortError, SensorError, unknown_name
-from labyrinth_hw.links import device
-from labyrinth_hw.motors import Motor, MotorState, motors_from
-from labyrinth_hw.safety import Command, Limits, Safety, State
-from labyrinth_hw.sensors import BoardState, Potentiometer, SensorLine
+from labyrinth_hw.compensation import Compensator
+from labyrinth_hw.errors import BusError, HardwareError, PortError, SensorError
+from labyrinth_hw.motors import MotorState
+from labyrinth_hw.safety import Command, Safety, State
+from labyrinth_hw.sensors import BoardState, SensorLine
 from labyrinth_hw.servo_bus import ServoBus
-from labyrinth_hw.vision import CameraSettings, camera_settings
+from labyrinth_hw.settings import HardwareConfig
 
-KEYS = {
-    "servo_port",
-    "sensor_port",
-    "motors",
-    "potentiometers",
-    "limits",
-    "compensation",
-    "torque_share",
-    "camera",
-    "layout",
-}
-RECONNECT_EVERY = 0.5  # s
+RECONNECT_EVERY = 0.1  # s
 FAILURES_TO_DISCONNECT = 5
-
-
-@dataclass(frozen=True)
-class HardwareConfig:
-    """What is connected where; see config/hw/*.yaml."""
-
-    servo_port: str
-    baud: int
-    sensor_port: str | None
-    sensor_baud: int
-    motors: tuple[Motor, ...]
-    potentiometers: Mapping[str, Potentiometer]
-    limits: Mapping[str, Limits]
-    compensation: Mapping[str, Compensation]
-    torque_share: float | None
-    camera: CameraSettings | None
-    holes: tuple[tuple[float, float], ...]
+TOGETHER = 0.025  # s
 
 
 @dataclass(frozen=True)
@@ -67,73 +34,10 @@ class Measurement:
     board: BoardState | None
     sent: Mapping[str, float] | None
 
-
-def load_hardware(name: str | Path) -> HardwareConfig:
-    """The configuration of a rig. Raises InputError with all complaints."""
-    content = config.load("hw", name)
-    complaints = [unknown_name(f"key in {name}", key, KEYS) for key in content if key not in KEYS]
-    motors: list[Motor] = []
-    compensations: dict[str, Compensation] = {}
-    for build in (
-        lambda: motors.extend(motors_from(content.get("motors") or {})),
-        lambda: compensations.update(
-            {k: compensation_from(k, v) for k, v in (content.get("compensation") or {}).items()}
-        ),
-    ):
-        try:
-            build()
-        except InputError as error:
-            complaints += error.complaints
-    limits, pots = {}, {}
-    try:
-        for motor in motors:
-            entry = (content.get("limits") or {}).get(motor.name, {})
-            low, high = (motor.model.registers[r] for r in ("min_voltage", "max_voltage"))
-            limits[motor.name] = Limits(
-                angle=radians(float(entry.get("angle_deg", 6.0))),
-                speed=radians(float(entry.get("speed_deg_s", 400.0))),
-                temperature=float(entry.get("temperature_c", 70.0)),
-                voltage=(
-                    float(entry.get("min_voltage", low.to_si(low.initial))),
-                    float(entry.get("max_voltage", high.to_si(high.initial))),
-                ),
-            )
-        for joint, entry in (content.get("potentiometers") or {}).items():
-            pots[joint] = Potentiometer(float(entry["zero"]), float(entry["rad_per_count"]), int(entry.get("sign", 1)))
-        servo_port, sensor_port = dict(content["servo_port"]), content.get("sensor_port")
-        if complaints:
-            raise InputError(complaints)
-        if len(pots) != 2 and sensor_port:
-            raise InputError(f"{name}: the sensor line has two potentiometers, got {len(pots)}: {sorted(pots)}.")
-        return HardwareConfig(
-            servo_port=device(str(servo_port["path"])),
-            baud=int(servo_port["baud"]),
-            sensor_port=device(str(sensor_port["path"])) if sensor_port else None,
-            sensor_baud=int(sensor_port["baud"]) if sensor_port else 0,
-            motors=tuple(motors),
-            potentiometers=pots,
-            limits=limits,
-            compensation=compensations,
-            torque_share=float(content["torque_share"]) if content.get("torque_share") is not None else None,
-            camera=camera_settings(content.get("camera") or {}),
-            holes=_holes(str(content.get("layout", "medium"))),
-        )
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        complaints.append(f"{name}: {type(error).__name__}: {error}. Compare with config/hw/paper.yaml.")
-        raise InputError(complaints) from error
-
-
-def _holes(layout: str) -> tuple[tuple[float, float], ...]:
-    """Centres of the holes, m, in the order of their numbers from 1; none where the geometry is not at hand."""
-    path = config.find_geometry()
-    if path is None:
-        return ()
-    layouts = yaml.safe_load(path.read_text(encoding="utf-8"))["layouts"]
-    if layout not in layouts:
-        raise InputError(unknown_name("layout", layout, layouts))
-    return tuple((float(x), float(y)) for x, y in layouts[layout]["holes"])
+    @property
+    def whole(self) -> bool:
+        """Whether board and motors were measured together, so that one stamp does for both."""
+        return self.board is not None and abs(self.board.stamp - self.stamp) <= TOGETHER
 
 
 class Hardware:
@@ -163,7 +67,9 @@ class Hardware:
         self.trouble = ""
         self.reconnects = 0
         self.slow: dict[str, MotorState] = {}
+        self.watchdog = 0  # times that the servos' own watchdog may have stopped them
         self._torque = False
+        self._heard = 0.0
         self._failures = 0
         self._supply = False
         self._retry_at = {"servos": 0.0, "sensors": 0.0}
@@ -213,7 +119,13 @@ class Hardware:
     ) -> Mapping[str, float] | None:
         if self.dry_run:
             return None
+        now = time.monotonic()
+        if torque and self._torque and now - self._heard > 0.8 * self.safety.timeout:
+            # A servo whose watchdog fired ignores goals and does not say so.
+            self.watchdog += self.bus.arm_watchdog(self.safety.timeout)
+        self._heard = now
         if torque and not self._torque:
+            self.bus.arm_watchdog(self.safety.timeout)
             self.bus.write_goals({name: state.position for name, state in motors.items()})
             self.bus.set_torque(True)
         elif not torque and self._torque:
@@ -273,7 +185,7 @@ class Hardware:
         if self.sensors is not None and not self.sensors_connected and now >= self._retry_at["sensors"]:
             self._retry_at["sensors"] = now + RECONNECT_EVERY
             try:
-                self.sensors.connect()
+                self.sensors.open()
                 self.sensors_connected = True
             except HardwareError as error:
                 self.trouble = str(error)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the rig is, in words and numbers, for whoever watches it."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -18,23 +19,34 @@ class Health:
     values: Mapping[str, str]
 
 
-def hardware_health(hw: Hardware, counts: Mapping[str, int], sight: Sight | None) -> Health:
+BLIND_AFTER = 1.0  # s without a picture
+
+
+def hardware_health(hw: Hardware, counts: Mapping[str, int], camera: bool, sight: Sight | None) -> Health:
     """The state of servos, sensor line and camera.
 
     Args:
         hw: the rig.
-        counts: "cycles", "late", "silent" periods and "refused" commands.
-        sight: the newest one; None without a camera.
+        counts: "cycles", "late", "silent" and "unseen" periods, "refused" commands, "clock steps".
+        camera: whether there is to be one.
+        sight: the newest one; None before the first picture.
     """
+    blind = camera and (sight is None or time.monotonic() - sight.stamp > BLIND_AFTER)
     level = "ok"
     if not hw.connected or hw.safety.state is State.STOPPED:
         level = "error"
-    elif hw.sensors is not None and not hw.sensors_connected:
+    elif blind or (hw.sensors is not None and not hw.sensors_connected):
         level = "warn"
     if hw.connected:
         message = "; ".join(hw.safety.reasons) or hw.safety.state.value
     else:
         message = f"disconnected: {hw.trouble}"
+    if hw.sensors is not None and not hw.sensors_connected:
+        message += "; no potentiometers, so no joint states: the sensor line is gone"
+    if blind:
+        message += "; no pictures from the camera"
+    elif sight is not None and not sight.board:
+        message += "; the camera does not see the board"
     counters = hw.bus.counters
     values: dict[str, object] = {
         "state": hw.safety.state.name.lower(),
@@ -48,7 +60,10 @@ def hardware_health(hw: Hardware, counts: Mapping[str, int], sight: Sight | None
         "cycles": counts["cycles"],
         "cycles late": counts["late"],
         "cycles without servos": counts["silent"],
+        "cycles without potentiometers": counts["unseen"],
         "commands refused": counts["refused"],
+        "clock steps": counts["clock steps"],
+        "watchdog armed again": hw.watchdog,
         "last trouble": hw.trouble,
     }
     for name, motor in list(hw.slow.items()):
@@ -60,9 +75,11 @@ def hardware_health(hw: Hardware, counts: Mapping[str, int], sight: Sight | None
         values["sensor requests"] = hw.sensors.asked
         values["sensor answers lost"] = hw.sensors.lost
         values["sensor lines damaged"] = hw.sensors.damaged
+    if camera:
+        values["camera"] = "no pictures" if blind else "delivers pictures"
     if sight is not None:
         values["camera frames"] = sight.frames
         values["camera losses"] = sight.losses
-        values["board seen"] = sight.board
-        values["ball seen"] = sight.visible
+        values["board seen"] = sight.board and not blind
+        values["ball seen"] = sight.visible and not blind
     return Health(level, message, {name: str(value) for name, value in values.items()})

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import radians
 
+from labyrinth_hw.bus_time import BLOCKS, block
 from labyrinth_hw.control_tables import servo_model
-from labyrinth_hw.errors import InputError
+from labyrinth_hw.errors import BusError, InputError
 from labyrinth_hw.registers import ServoModel
 
 
@@ -92,3 +93,33 @@ def motors_from(config: Mapping[str, Mapping[str, object]]) -> list[Motor]:
     if complaints:
         raise InputError(complaints)
     return motors
+
+
+def motor_state(motor: Motor, data: bytes, alarm: int, stamp: float) -> MotorState:
+    """What the bytes of an answer mean; the answer begins where the block of positions and speeds begins.
+
+    Raises:
+        BusError: the answer is too short to hold a position.
+    """
+    model = motor.model
+    start, _ = block(model, BLOCKS[1])
+
+    def value(name: str) -> float | None:
+        register = model.register(model.effort_register if name == "effort" else name)
+        at = register.address - start
+        if at < 0 or at + register.size > len(data):
+            return None
+        return register.to_si(int.from_bytes(data[at : at + register.size], "little"))
+
+    position, speed, effort = (value(name) for name in BLOCKS[1])
+    if position is None:
+        raise BusError(f"{motor.name}: the answer holds no position, only {len(data)} bytes.")
+    return MotorState(
+        stamp=stamp,
+        position=motor.sign * (position - motor.zero),
+        speed=None if speed is None else motor.sign * speed,
+        effort=None if effort is None else motor.sign * effort * model.effort_per_unit,
+        voltage=value("present_voltage"),
+        temperature=value("present_temperature"),
+        alarm=alarm,
+    )

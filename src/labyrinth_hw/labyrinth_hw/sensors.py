@@ -3,8 +3,11 @@
 
 import select
 import time
+from collections import deque
 from dataclasses import dataclass
+from math import nan
 
+import numpy as np
 import serial
 
 from labyrinth_hw import sensor_protocol
@@ -34,12 +37,48 @@ class Potentiometer:
 
 @dataclass(frozen=True)
 class BoardState:
-    """stamp: s, `time.monotonic()` of the request; x, y: rad; piezo: hits so far."""
+    """What the sensor line told.
+
+    Attributes:
+        stamp: s, `time.monotonic()` of the request.
+        x, y: rad.
+        speed: of x and y, rad/s; NaN before there are enough samples.
+        piezo: hits so far.
+    """
 
     stamp: float
     x: float
     y: float
+    speed: tuple[float, float]
     piezo: int
+
+
+class Slope:
+    """Speed from angles: the end slope of a parabola through the newest samples, by least squares.
+
+    A parabola, because a line's slope would be that of the window's middle, 30 ms ago at 100 Hz. White noise of the
+    angle comes out 0.68 / period times as large (seven samples): 0.3 mrad at 100 Hz give 20 mrad/s.
+
+    Args:
+        samples: in the window.
+        longest: s; samples older than this are forgotten.
+    """
+
+    def __init__(self, samples: int = 7, longest: float = 0.15) -> None:
+        self._kept: deque[tuple[float, float, float]] = deque(maxlen=samples)
+        self._longest = longest
+
+    def add(self, stamp: float, x: float, y: float) -> tuple[float, float]:
+        """Take a sample, s, rad; returns both speeds, rad/s, NaN while the window is not full."""
+        self._kept.append((stamp, x, y))
+        while self._kept[-1][0] - self._kept[0][0] > self._longest:
+            self._kept.popleft()
+        if len(self._kept) < (self._kept.maxlen or 0):
+            return nan, nan
+        rows = np.array(self._kept)
+        since = rows[:, 0] - stamp
+        fit = np.linalg.lstsq(np.column_stack((np.ones_like(since), since, since**2)), rows[:, 1:], rcond=None)[0]
+        return float(fit[1, 0]), float(fit[1, 1])
 
 
 class SensorLine:
@@ -58,10 +97,15 @@ class SensorLine:
         self._port: serial.Serial | None = None
         self._buffer = bytearray()
         self._stamp = 0.0
+        self._slope = Slope()
+
+    def open(self) -> None:
+        """Open the port without waiting for an answer: a microcontroller may start anew by this. Raises PortError."""
+        self._port = open_exclusively(self.path, self.baud)
 
     def connect(self) -> None:
         """Open the port and wait for a first answer. Raises PortError, SensorError."""
-        self._port = open_exclusively(self.path, self.baud)
+        self.open()
         for _ in range(5):
             self.ask()
             if self.collect(0.1) is not None:
@@ -117,4 +161,5 @@ class SensorLine:
         return self._port
 
     def _state(self, sample: SensorSample) -> BoardState:
-        return BoardState(self._stamp, self.x.angle(sample.pot_x), self.y.angle(sample.pot_y), sample.piezo)
+        x, y = self.x.angle(sample.pot_x), self.y.angle(sample.pot_y)
+        return BoardState(self._stamp, x, y, self._slope.add(self._stamp, x, y), sample.piezo)

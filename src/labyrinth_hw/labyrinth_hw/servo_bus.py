@@ -7,15 +7,13 @@ from contextlib import contextmanager
 
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler
 
-from labyrinth_hw.bus_time import block, cycle_time
+from labyrinth_hw.bus_time import BLOCKS, block, cycle_time
 from labyrinth_hw.control_tables import PROTOCOL_2_PACKET_ERRORS
 from labyrinth_hw.errors import BusError, InputError, PortError, unknown_name
-from labyrinth_hw.motors import BusCounters, Motor, MotorState
+from labyrinth_hw.motors import BusCounters, Motor, MotorState, motor_state
 from labyrinth_hw.serial_line import GONE, Port
 
 RETRIES = 2
-STATE = ("present_position", "present_speed", "effort")
-HEALTH = ("present_voltage", "present_temperature")
 
 
 class ServoBus:
@@ -75,7 +73,9 @@ class ServoBus:
                 "Check power, cable, id, baud rate and protocol."
             )
         for name in self.motors:
-            self.write(name, "return_delay", 0.0)
+            if self.read(name, "return_delay") > 0:
+                self.write(name, "torque_enable", 0.0)  # it locks the register
+                self.write(name, "return_delay", 0.0)
 
     def close(self) -> None:
         """Close the port; torque stays as it is."""
@@ -127,6 +127,18 @@ class ServoBus:
         if errors:
             raise BusError(" ".join(errors))
 
+    def arm_watchdog(self, seconds: float) -> bool:
+        """Let the servos stop by themselves when no packet came for `seconds` (20 ms to 2.54 s) while torque is on.
+
+        Clears a watchdog that has fired. Returns False where the servos have none: protocol 1. Raises BusError.
+        """
+        if self.protocol == 1:
+            return False
+        for name in self.motors:
+            self.write(name, "bus_watchdog", 0.0)
+            self.write(name, "bus_watchdog", min(max(seconds, 0.02), 2.54))
+        return True
+
     def reboot(self, name: str) -> None:
         """Reboot a servo (protocol 2 only), which clears its alarm. Raises BusError where it does not confirm."""
         motor = self.motor(name)
@@ -177,8 +189,14 @@ class ServoBus:
         full = names[self._turn // 10] if self._turn % 10 == 0 else None
         answers = self._read_all(self._state_block, skip=full)
         if full is not None:
-            answers[full] = self._read_block(self.motors[full], (*STATE, *HEALTH))
+            answers[full] = self._read_block(self.motors[full], BLOCKS[0])
         return {name: self._state(self.motors[name], *answers[name]) for name in names}
+
+    def _state(self, motor: Motor, data: bytes, error: int, stamp: float) -> MotorState:
+        if self.protocol == 1:
+            return motor_state(motor, data, error, stamp)
+        alarm = int(self.read(motor.name, "hardware_error")) if error & 0x80 else 0
+        return motor_state(motor, data, alarm, stamp)
 
     def write_goals(self, goals: Mapping[str, float]) -> None:
         """Send goal positions, rad at the joint, to all named motors in one packet."""
@@ -235,33 +253,6 @@ class ServoBus:
                 return bytes(data), error
             why = self._count(motor, result, attempt)
         raise BusError(f"{motor.name} (id {motor.id}) did not answer in {RETRIES + 1} tries: {why}.")
-
-    def _state(self, motor: Motor, data: bytes, error: int, stamp: float) -> MotorState:
-        model = motor.model
-        start, _ = block(model, STATE)
-
-        def value(name: str) -> float | None:
-            register = model.register(model.effort_register if name == "effort" else name)
-            at = register.address - start
-            if at < 0 or at + register.size > len(data):
-                return None
-            return register.to_si(int.from_bytes(data[at : at + register.size], "little"))
-
-        position, speed, effort = (value(name) for name in STATE)
-        if position is None:
-            raise BusError(f"{motor.name}: the answer holds no position, only {len(data)} bytes.")
-        alarm = error if self.protocol == 1 else 0
-        if self.protocol == 2 and error & 0x80:
-            alarm = int(self.read(motor.name, "hardware_error"))
-        return MotorState(
-            stamp=stamp,
-            position=motor.sign * (position - motor.zero),
-            speed=None if speed is None else motor.sign * speed,
-            effort=None if effort is None else motor.sign * effort * model.effort_per_unit,
-            voltage=value("present_voltage"),
-            temperature=value("present_temperature"),
-            alarm=alarm,
-        )
 
     def _guarded(self, call, *arguments):  # type: ignore[no-untyped-def]  # the SDK has no types
         """Call the SDK; a port that vanished becomes a PortError."""

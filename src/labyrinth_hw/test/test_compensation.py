@@ -13,9 +13,10 @@ import pytest
 from labyrinth_hw.compensation import Compensation, Compensator, compensation_from, measured_map
 from labyrinth_hw.control_tables import servo_model
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.hardware import Hardware, load_hardware
+from labyrinth_hw.hardware import Hardware
 from labyrinth_hw.nodes.calibrate_motors import as_yaml, calibrate
 from labyrinth_hw.safety import Command
+from labyrinth_hw.settings import load_hardware
 from labyrinth_hw.testbed.live import LiveTestbed
 from labyrinth_hw.testbed.parameters import HEALTHY
 from labyrinth_hw.testbed.rig import LiveRig

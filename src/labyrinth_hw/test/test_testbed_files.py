@@ -10,8 +10,8 @@ from rosbags.highlevel import AnyReader
 
 from labyrinth_hw import config
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.hardware import load_hardware
 from labyrinth_hw.sensor_protocol import SensorSample, read_sample, sentence, unpack, write_sample
+from labyrinth_hw.settings import load_hardware
 from labyrinth_hw.testbed.command_line import main
 from labyrinth_hw.testbed.hidden import build, load_testbed
 

@@ -20,8 +20,9 @@ from tqdm import tqdm
 from labyrinth_hw import config
 from labyrinth_hw.compensation import Compensation, measured_map
 from labyrinth_hw.errors import HardwareError, InputError
-from labyrinth_hw.hardware import Hardware, load_hardware
+from labyrinth_hw.hardware import Hardware
 from labyrinth_hw.safety import Command, State
+from labyrinth_hw.settings import load_hardware
 
 PERIOD = 0.01  # s
 BEYOND_DEG = 1.0  # past the ends of the map; more than any belt's slack

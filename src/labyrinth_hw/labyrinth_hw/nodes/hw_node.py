@@ -7,13 +7,11 @@ import sys
 import threading
 import time
 import traceback
-from math import hypot, nan
 from types import FrameType
 from typing import Any
 
 import rclpy
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -24,15 +22,15 @@ from sensor_msgs.msg import Image, JointState
 from std_srvs.srv import Trigger
 
 from labyrinth_hw.errors import HardwareError, InputError
-from labyrinth_hw.hardware import Hardware, Measurement, load_hardware
+from labyrinth_hw.hardware import Hardware, Measurement
 from labyrinth_hw.health import hardware_health
+from labyrinth_hw.nodes.messages import Stamps, annotated_image, ball_state, diagnostics, joint_state
 from labyrinth_hw.priority import ask_for_priority
 from labyrinth_hw.safety import Command, State
+from labyrinth_hw.settings import load_hardware
 from labyrinth_hw.vision import Sight, Vision
 from labyrinth_msgs.msg import BallEvent, BallState
 
-LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
-NEAR_HOLE = 0.03  # m
 RELIABLE = QoSProfile(depth=50)
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -54,7 +52,6 @@ class HwNode(Node):
         slack = self._declare("compensate_slack", False, "correct goals by the calibrated slack of the belt [-]")
         self._refuse_unknown_parameters()
         self._settings = load_hardware(str(config))
-        self._holes = self._settings.holes
         self._timeout = float(timeout)
         self._period = 1.0 / float(rate)
         self.hardware = Hardware(
@@ -65,7 +62,8 @@ class HwNode(Node):
         self._command: Command | None = None
         self._goals: dict[str, float] = {}
         self._orders: list[str] = []
-        self._pub = {"cycles": 0, "late": 0, "silent": 0, "refused": 0}
+        self._counts = {"cycles": 0, "late": 0, "silent": 0, "unseen": 0, "refused": 0}
+        self._stamps = Stamps(lambda: int(self.get_clock().now().nanoseconds))
         self._piezo: int | None = None
         self._place: tuple[float, float] | None = None
         self._told = State.WAITING
@@ -93,6 +91,7 @@ class HwNode(Node):
         )
         self._vision = Vision(self._settings.camera) if self._settings.camera is not None else None
         self._sight: Sight | None = None
+        self._eye_stamps = Stamps(lambda: int(self.get_clock().now().nanoseconds))
         self._eyes = threading.Thread(target=self._watch, name="vision", daemon=True)
         if self._vision is not None:
             self._balls = self.create_publisher(BallState, f"{prefix}/ball", **qos)
@@ -130,7 +129,7 @@ class HwNode(Node):
                 raise InputError(f"Its stamp is {age:.3f} s old; more than {self._timeout:g} s is too late to obey.")
             self.hardware.safety.check(goals)
         except InputError as error:
-            self._pub["refused"] += 1
+            self._counts["refused"] += 1
             self.get_logger().warning(f"Refused a command: {error}", throttle_duration_sec=1.0)
             return
         with self._lock:
@@ -149,9 +148,9 @@ class HwNode(Node):
                 with self._lock:
                     command = self._command
                 measured = self.hardware.cycle(command)
-                self._pub["cycles"] += 1
+                self._counts["cycles"] += 1
                 if measured is None:
-                    self._pub["silent"] += 1
+                    self._counts["silent"] += 1
                 elif rclpy.ok():
                     self._publish(measured)
                 self._tell_state()
@@ -160,7 +159,7 @@ class HwNode(Node):
                 if left > 0:
                     self._stop.wait(left)
                 elif left < -self._period:
-                    self._pub["late"] += 1
+                    self._counts["late"] += 1
                     due = time.monotonic()
         except BaseException as error:
             # Publishing while ROS shuts down fails too; that is an orderly end.
@@ -187,23 +186,13 @@ class HwNode(Node):
                 self.get_logger().error(f"{order}: {error}")
 
     def _publish(self, measured: Measurement) -> None:
-        offset = self.get_clock().now().nanoseconds * 1e-9 - time.monotonic()
-        message = JointState()
-        message.header.stamp = _time(measured.stamp + offset)
-        for name, motor in measured.motors.items():
-            message.name.append(name)
-            message.position.append(motor.position)
-            message.velocity.append(nan if motor.speed is None else motor.speed)
-            message.effort.append(nan if motor.effort is None else motor.effort)
         board = measured.board
-        for name, angle in zip(
-            self._settings.potentiometers, (board.x, board.y) if board else (nan, nan), strict=False
-        ):
-            message.name.append(name)
-            message.position.append(angle)
-            message.velocity.append(nan)
-            message.effort.append(nan)
-        self._states.publish(message)
+        if self._settings.sensor_port is not None and not measured.whole:
+            # A message without the board, or with where it was, would be taken for a measurement.
+            self._counts["unseen"] += 1
+        else:
+            stamp = self._stamps.at(measured.stamp)
+            self._states.publish(joint_state(measured, self._settings.potentiometers, stamp))
         if board is not None:
             if self._piezo is not None and board.piezo != self._piezo:
                 self._event(BallEvent.LOST)
@@ -215,34 +204,21 @@ class HwNode(Node):
             sight = vision.next(0.2)
             if sight is None or not rclpy.ok():
                 continue
-            stamp = _time(sight.stamp + self.get_clock().now().nanoseconds * 1e-9 - time.monotonic())
-            message = BallState(visible=sight.visible, x=sight.x, y=sight.y)
-            message.header.stamp, message.header.frame_id = stamp, "board"
-            self._balls.publish(message)
+            stamp = self._eye_stamps.at(sight.stamp)
+            self._balls.publish(ball_state(sight, stamp))
             if sight.visible:
                 self._place = (sight.x, sight.y)
             self._sight = sight
-            if sight.picture is not None:
-                height, width, data = sight.picture
-                image = Image(height=height, width=width, encoding="bgr8", step=3 * width, data=data)
-                image.header = message.header
+            if (image := annotated_image(sight, stamp)) is not None:
                 self._pictures.publish(image)
             if (wanted := self._pictures.get_subscription_count() > 0) != vision.pictures.is_set():
                 (vision.pictures.set if wanted else vision.pictures.clear)()
 
     def _event(self, kind: int) -> None:
-        hole = self._nearest_hole() if kind == BallEvent.LOST else -1
+        hole = self._settings.nearest_hole(self._place) if kind == BallEvent.LOST else -1
         event = BallEvent(kind=kind, hole=hole)
         event.header.stamp, event.header.frame_id = self.get_clock().now().to_msg(), "board"
         self._events.publish(event)
-
-    def _nearest_hole(self) -> int:
-        """Number of the hole beside which the ball was seen last, -1 where it was not seen near one."""
-        if self._place is None or not self._holes:
-            return -1
-        away = [hypot(x - self._place[0], y - self._place[1]) for x, y in self._holes]
-        nearest = min(range(len(away)), key=away.__getitem__)
-        return nearest + 1 if away[nearest] < NEAR_HOLE else -1
 
     def _tell_state(self) -> None:
         state = self.hardware.safety.state
@@ -250,6 +226,8 @@ class HwNode(Node):
             self._told = state
             if state is State.STOPPED:
                 self.get_logger().error(f"Torque is off until reset: {'; '.join(self.hardware.safety.reasons)}.")
+            elif not self.hardware.connected:
+                self.get_logger().error(f"The servos are out of reach: {self.hardware.trouble}")
             else:
                 self.get_logger().info(state.value)
 
@@ -270,15 +248,11 @@ class HwNode(Node):
         return response
 
     def _report(self) -> None:
-        health = hardware_health(self.hardware, self._pub, self._sight if self._vision is not None else None)
-        status = DiagnosticStatus(
-            level=LEVELS[health.level], name=f"{self.get_name()}: servos", message=health.message,
-            hardware_id=self._settings.servo_port,
-            values=[KeyValue(key=key, value=value) for key, value in health.values.items()],
-        )  # fmt: skip
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        counts = {**self._counts, "clock steps": self._stamps.steps}
+        health = hardware_health(self.hardware, counts, self._vision is not None, self._sight)
+        now = self.get_clock().now().to_msg()
+        name = f"{self.get_name()}: servos"
+        self._diagnostics.publish(diagnostics(health, name, self._settings.servo_port, now))
 
     def close(self) -> None:
         """Torque off, ports closed."""
@@ -288,11 +262,6 @@ class HwNode(Node):
             self._vision.close()
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)
-
-
-def _time(seconds: float) -> Time:
-    nanoseconds = round(seconds * 1e9)
-    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 def main() -> None:

@@ -62,6 +62,7 @@ class LiveTestbed:
             self.camera_file.write_text(video.url + "\n", encoding="utf-8")
         self._scenes: deque[tuple[float, Scene]] = deque()
         self.covered = False
+        self._heard = time.monotonic()
         self.lines = {SERVOS: self.servo_line, SENSORS: self.sensor_line}
 
     def spin(self, stopped: Callable[[], bool], each: Callable[[float], None] = lambda now: None) -> None:
@@ -76,7 +77,15 @@ class LiveTestbed:
                 if line.port.plugged:
                     line.receive(now)
                 line.send(now)
+            self._watch_silence(now)
             wait(lines, min(now + TICK, *(line.due() for line in lines)), time.monotonic())
+
+    def _watch_silence(self, now: float) -> None:
+        silence = now - self._heard
+        if silence > 5 * TICK:
+            self.rig.refresh()
+            for servo in self.rig.servos:
+                servo.watch(silence)
 
     def _film(self, now: float) -> None:
         if self.video is None or not self.video.due():
@@ -99,6 +108,8 @@ class LiveTestbed:
     def fault(self, words: list[str]) -> str:
         """Do to the rig what a line of standard input says; returns what was done or why not."""
         match words:
+            case ["unplug" | "plug", "camera"] if self.video is not None:
+                self.video.plug(words[0] == "plug")
             case ["unplug", name] if name in self.lines:
                 self.lines[name].port.unplug()
             case ["plug", name] if name in self.lines:
@@ -123,6 +134,7 @@ class LiveTestbed:
         return "done: " + " ".join(words)
 
     def _servo_answers(self, data: bytes) -> list[tuple[bytes, float]]:
+        self._heard = time.monotonic()
         self.rig.refresh()
         return [(answer.data, answer.delay) for answer in self.bus.feed(data)]
 
@@ -141,6 +153,6 @@ class LiveTestbed:
 
 
 FAULTS = (
-    "Known: unplug servos|sensors; plug servos|sensors; noise servos|sensors SHARE; late servos|sensors SECONDS; "
-    "alarm x|y BITS; heal x|y; replace x|y MODEL; cover; uncover; piezo."
+    "Known: unplug servos|sensors|camera; plug servos|sensors|camera; noise servos|sensors SHARE; "
+    "late servos|sensors SECONDS; alarm x|y BITS; heal x|y; replace x|y MODEL; cover; uncover; piezo."
 )

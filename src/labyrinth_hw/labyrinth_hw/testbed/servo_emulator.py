@@ -9,7 +9,8 @@ from labyrinth_hw.testbed import packets
 from labyrinth_hw.testbed.packets import BROADCAST, Instruction
 
 E1_RANGE, E1_CHECKSUM, E1_INSTRUCTION = 0x08, 0x10, 0x40
-E2_INSTRUCTION, E2_CRC, E2_LENGTH, E2_ACCESS, E2_ALERT = 2, 3, 5, 7, 0x80
+E2_INSTRUCTION, E2_CRC, E2_RANGE, E2_LENGTH, E2_ACCESS, E2_ALERT = 2, 3, 4, 5, 7, 0x80
+FIRED = 0xFF  # what the watchdog's register holds once it has stopped the motor
 
 
 @dataclass
@@ -34,6 +35,7 @@ class EmulatedServo:
         self.alarm = 0
         self.refused_torque = False
         self._pending: tuple[int, bytes] | None = None
+        self._goals = [register for name, register in model.registers.items() if name.startswith("goal_")]
         self.power_up()
         self.set("id", id)
 
@@ -86,6 +88,15 @@ class EmulatedServo:
         if self.model.protocol == 2:
             self._store(self.model.register("hardware_error"), 0)
 
+    def watch(self, silence: float) -> None:
+        """Protocol 2: stop where the motor is once the bus was silent for longer than the watchdog allows, s."""
+        if self.model.protocol == 1 or not self.torque_on:
+            return
+        allowed = self.raw("bus_watchdog")
+        if 0 < allowed < 0x80 and silence > self.get("bus_watchdog"):
+            self._store(self.model.register("bus_watchdog"), FIRED)
+            self._store(self.model.register("goal_position"), self.raw("present_position"))
+
     def read(self, address: int, size: int) -> bytes:
         """Bytes of the control table."""
         return bytes(self.memory[address : address + size])
@@ -99,6 +110,8 @@ class EmulatedServo:
             return E2_ACCESS if two else E1_RANGE
         if two and self.torque_on and any(r.eeprom for r in touched):
             return E2_ACCESS
+        if two and self.raw("bus_watchdog") == FIRED and any(r in self._goals for r in touched):
+            return E2_RANGE
         enable = self.model.register("torque_enable").address
         if address <= enable < end and data[enable - address] and self.alarm & self.raw("shutdown"):
             return E2_ACCESS if two else 0

@@ -18,7 +18,6 @@ WALL, RIM, BOX = (138, 182, 214), (78, 122, 164), (62, 100, 142)
 INSIDE, TABLE, DOT = (34, 40, 46), (92, 92, 90), (168, 78, 22)  # BGR
 
 
-
 class Renderer:
     """Renders scenes of one layout through one lens in one light. Noise follows `seed`."""
 

@@ -22,12 +22,19 @@ def _serve(scenes: Connection, layout: str, port: int, seed: int) -> None:
         return
     scenes.send(stream.url.encode())
     renderer = Renderer(load_layout(layout), seed=seed)
+    port, plugged = stream.port, True
     try:
         while True:
-            scene = scenes.recv()
-            while scenes.poll():
-                scene = scenes.recv()
-            stream.push(renderer.render(scene))
+            order = scenes.recv()
+            while isinstance(order, Scene) and scenes.poll():
+                order = scenes.recv()
+            if isinstance(order, Scene) and plugged:
+                stream.push(renderer.render(order))
+            elif order is False and plugged:
+                stream.close()
+                plugged = False
+            elif order is True and not plugged:
+                stream, plugged = VideoStream(port), True
     except (EOFError, OSError):
         stream.close()
 
@@ -69,6 +76,10 @@ class VideoProcess:
             self._scenes.send(scene)
         except OSError:
             self._due = float("inf")
+
+    def plug(self, plugged: bool) -> None:
+        """Let the camera vanish, or come back at the same address."""
+        self._scenes.send(plugged)
 
     def close(self) -> None:
         """End the process."""

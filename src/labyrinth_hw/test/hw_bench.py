@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A testbed and a hardware node as real processes, and somebody who listens and commands."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+PATIENCE = 30.0
+DOMAIN = str(40 + os.getpid() % 60)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+COMMANDER = """
+import sys, time, rclpy
+from sensor_msgs.msg import JointState
+rclpy.init()
+node = rclpy.create_node("commander")
+publisher = node.create_publisher(JointState, "/real/joint_commands", 10)
+while True:
+    message = JointState(name=["motor_x", "motor_y"], position=[float(word) for word in sys.argv[1:]])
+    message.header.stamp = node.get_clock().now().to_msg()
+    publisher.publish(message)
+    time.sleep(0.01)
+"""
+
+
+class Bench:
+    """A testbed, a hardware node, and somebody who listens and commands."""
+
+    def __init__(self, folder: Path) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+        from sensor_msgs.msg import JointState
+        from std_srvs.srv import Trigger
+
+        from labyrinth_msgs.msg import BallEvent, BallState
+
+        self.folder = folder
+        self.environment = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "LABYRINTH_TESTBED_DIR": str(folder / "links")}
+        self.testbed: subprocess.Popen[str] | None = None
+        self.node: subprocess.Popen[str] | None = None
+        self.commander: subprocess.Popen[str] | None = None
+        self.states: list = []
+        self.diagnostics: list = []
+        self.balls: list = []
+        self.events: list = []
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=int(DOMAIN))
+        self._peer = rclpy.create_node("peer", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._peer)
+        self._peer.create_subscription(JointState, "/real/joint_states", self.states.append, 100)
+        self._peer.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+        self._peer.create_subscription(BallState, "/real/ball", self.balls.append, 10)
+        self._peer.create_subscription(BallEvent, "/real/ball_event", self.events.append, 10)
+        self._commands = self._peer.create_publisher(JointState, "/real/joint_commands", 10)
+        self._reset = self._peer.create_client(Trigger, "/real/reset")
+        self.supply = self._peer.create_client(Trigger, "/real/supply_ball")
+        self._goal: tuple[float, float] | None = None
+        self._ahead = 0.0
+        self._peer.create_timer(0.02, self._send)
+
+    def start_testbed(self, *options: str) -> None:
+        command = [sys.executable, "-m", "labyrinth_hw.nodes.testbed", "--config", "healthy", "--seed", "1", *options]
+        self.testbed = self._start(command, subprocess.PIPE)
+        assert self.testbed.stdout is not None
+        while "Ctrl-C ends it" not in (line := self.testbed.stdout.readline()):
+            assert line, "the testbed did not start"
+
+    def start_node(self, **parameters: object) -> None:
+        options = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+        command = [sys.executable, "-m", "labyrinth_hw.nodes.hw_node", "--ros-args", "-p", "config:=healthy", *options]
+        self.node = self._start(command, None)
+
+    def _start(self, command: list[str], pipe: int | None) -> "subprocess.Popen[str]":
+        errors = subprocess.PIPE if pipe is None else None
+        return subprocess.Popen(
+            command, env=self.environment, stdin=subprocess.PIPE, stdout=pipe, stderr=errors, text=True
+        )
+
+    def tell(self, fault: str) -> None:
+        """Give the testbed an order and wait until it obeyed."""
+        assert self.testbed is not None and self.testbed.stdin is not None and self.testbed.stdout is not None
+        self.testbed.stdin.write(fault + "\n")
+        self.testbed.stdin.flush()
+        assert self.testbed.stdout.readline() == f"done: {fault}\n"
+
+    def command(self, goal: tuple[float, float] | None, ahead: float = 0.0) -> None:
+        """Keep sending this goal, rad, with stamps `ahead` s of the clock; None stops sending."""
+        self._goal, self._ahead = goal, ahead
+
+    def start_commander(self, goal: tuple[float, float]) -> "subprocess.Popen[str]":
+        """A process of its own that keeps sending this goal, rad."""
+        self.commander = self._start([sys.executable, "-c", COMMANDER, *map(str, goal)], subprocess.DEVNULL)
+        return self.commander
+
+    def _send(self) -> None:
+        from rclpy.duration import Duration
+        from sensor_msgs.msg import JointState
+
+        if self._goal is not None:
+            message = JointState(name=["motor_x", "motor_y"], position=list(self._goal))
+            now = self._peer.get_clock().now() + Duration(seconds=self._ahead)
+            message.header.stamp = now.to_msg()
+            self._commands.publish(message)
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        """Listen until a condition holds."""
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            self._executor.spin_once(0.05)
+            assert time.monotonic() < deadline, f"waited {PATIENCE:g} s for: {what}; newest: {self.status()}"
+
+    def more_states(self, count: int = 20) -> None:
+        goal = len(self.states) + count
+        self.until(lambda: len(self.states) >= goal, f"{count} more joint states")
+
+    def motor(self) -> tuple[float, float]:
+        return tuple(self.states[-1].position[:2]) if self.states else (9.0, 9.0)
+
+    def reaches(self, goal: tuple[float, float]) -> bool:
+        return max(abs(a - b) for a, b in zip(self.motor(), goal, strict=True)) < 0.004
+
+    def status(self) -> dict[str, str]:
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name == "hw_node: servos":
+                    return {"message": status.message, **{v.key: v.value for v in status.values}}
+        return {}
+
+    def reset(self) -> None:
+        from std_srvs.srv import Trigger
+
+        future = self._reset.call_async(Trigger.Request())
+        self.until(future.done, "the reset service")
+
+    def close(self) -> None:
+        for process in (self.commander, self.node, self.testbed):
+            if process is not None and process.poll() is None:
+                process.terminate()
+                process.wait(20)
+        self._executor.remove_node(self._peer)
+        self._peer.destroy_node()
+        self._context.try_shutdown()
