@@ -59,10 +59,27 @@ def test_launch_files_start_executables_that_exist(file: Path) -> None:
 
 def test_the_workspace_installs_its_configuration() -> None:
     index = pytest.importorskip("ament_index_python")
-    for package, kind in (("labyrinth_sim", "rigs"), ("labyrinth_sim", "models"), ("eps_tunnel_analysis", "sequences")):
+    ours = [("eps_tunnel_analysis", kind) for kind in ("nodes", "sequences")]
+    for package, kind in (("labyrinth_sim", "rigs"), ("labyrinth_sim", "models"), *ours):
         share = Path(index.get_package_share_directory(package)) / "config" / kind
         installed = {file.relative_to(share) for file in share.rglob("*") if file.is_file()}
         kept = {
             file.relative_to(ROOT / "config" / kind) for file in (ROOT / "config" / kind).rglob("*") if file.is_file()
         }
         assert kept == installed, f"run `make setup`: {share} does not hold what config/{kind} holds"
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_every_executable_has_its_function(package: str) -> None:
+    for name, target in entry_points(package).items():
+        module, function = target.split(":")
+        file = ROOT / "src" / package / (module.replace(".", "/") + ".py")
+        assert file.is_file(), f"{package} {name}: {module} does not exist"
+        defined = {node.name for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef)}
+        brought = {
+            alias.asname or alias.name
+            for node in ast.walk(ast.parse(file.read_text()))
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        assert function in defined | brought, f"{package} {name}: {module} has no {function}"
