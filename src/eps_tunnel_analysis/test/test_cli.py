@@ -27,7 +27,7 @@ from bag_files import (
     write_bag,
 )
 
-from eps_tunnel_analysis.recording import BagWriter
+from eps_tunnel_analysis.recording import BagWriter, read
 from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL
 
 PATHS = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2] / "labyrinth_sim")]
@@ -116,6 +116,53 @@ def test_effects_are_listed_and_told():
     assert listed[0]["name"] in eps_tunnel("effects").stdout
     assert "Mistaken for" in eps_tunnel("effects", "backlash").stdout
     refused("effects", "backlashh", told=["Did you mean 'backlash'?"])
+
+
+def test_a_damaged_bag_is_repaired_into_a_new_one(bags, tmp_path):
+    damaged = tmp_path / "damaged"
+    with BagWriter(damaged) as writer:
+        writer.add_topic("/real/joint_states", JOINT_STATE)
+        for i in range(200):
+            at = START + i * STEP
+            writer.write("/real/joint_states", at, recording_cases.joints(at, ["servo"], [0.001 * i]))
+            if i == 99:
+                writer.flush()
+                flushed = next(damaged.glob("*.mcap")).stat().st_size
+    file = next(damaged.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[: flushed + 300])
+    told = refused("compare", "--real", damaged, "--sim", bags / "sim", told=["eps-tunnel repair"])
+    assert str(damaged) in told
+    result = eps_tunnel("repair", damaged, "--out", tmp_path / "whole")
+    assert result.returncode == 0, result.stderr
+    saved = len(read(tmp_path / "whole").topics["/real/joint_states"])
+    assert 100 <= saved < 200
+    assert f"{saved} messages saved" in result.stdout
+    sound = eps_tunnel("repair", bags / "sim", "--out", tmp_path / "copy")
+    assert sound.returncode == 0, sound.stderr
+    assert "The bag was whole" in sound.stdout
+    assert eps_tunnel("compare", "--real", bags / "real", "--sim", tmp_path / "copy").returncode == 0
+    refused("repair", bags / "sim", "--out", tmp_path / "copy", told=[tmp_path / "copy", "exists"])
+
+
+def test_a_table_is_imported_and_compared(bags, tmp_path):
+    rows = [f"{t:.2f},{c:.6f},{v:.6f}" for t, c, v in zip(grid(), command(grid()), response(grid()), strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,goal,angle", *rows]) + "\n")
+    columns = ("--time", "t", "--command", "servo=goal", "--position", "servo=angle")
+    result = eps_tunnel("import-csv", tmp_path / "log.csv", *columns, "--out", tmp_path / "bag")
+    assert result.returncode == 0, result.stderr
+    content = json.loads(eps_tunnel("compare", "--real", tmp_path / "bag", "--sim", bags / "sim", "--json").stdout)
+    assert content["signals"] == ["servo"]
+    wrong = ("--time", "time", *columns[2:])
+    refused(
+        "import-csv", tmp_path / "log.csv", *wrong, "--out", tmp_path / "no", told=["log.csv", "column 'time'", "goal"]
+    )
+    refused("import-csv", tmp_path / "log.csv", *columns, "--out", tmp_path / "bag", told=[tmp_path / "bag", "exists"])
+    refused("import-csv", tmp_path / "log.csv", "--time", "t", "--position", "angle", "--out", tmp_path / "no",
+            told=["JOINT=COLUMN"])  # fmt: skip
+
+
+def test_replay_of_no_bag_is_refused(tmp_path):
+    refused("replay", tmp_path / "nothing", told=[])
 
 
 # Bad input: every case ends with exit code 2 and names the file or the topic.

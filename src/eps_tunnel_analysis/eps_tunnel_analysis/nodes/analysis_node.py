@@ -62,6 +62,8 @@ class AnalysisNode(TunnelNode):
         )
         self._counts: dict[str, StampCounts] = {}
         self._late_after = late
+        # With a told clock, of a replay say, this machine's own says nothing on how late a message came.
+        self._clock_told = bool(self.get_parameter("use_sim_time").value)
         self._stamp, self._told_trials = 0, -1
         self._recorder = Recorder(self, SIDES, self._received, images)
         overridable = {"qos_overriding_options": QoSOverridingOptions.with_default_policies()}
@@ -116,6 +118,8 @@ class AnalysisNode(TunnelNode):
         return tuple(names), np.array(values)
 
     def _counted(self, topic: str, stamp: int, arrival: int) -> bool:
+        if self._clock_told:
+            arrival = self.get_clock().now().nanoseconds
         if topic not in self._counts:
             self._counts[topic] = StampCounts(late_after=self._late_after)
         return self._counts[topic].add(stamp, arrival)

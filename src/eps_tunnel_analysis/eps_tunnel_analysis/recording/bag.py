@@ -135,7 +135,7 @@ def _merged(path: Path, parts: Iterable[Mapping[str, RawTopic]]) -> dict[str, Ra
 def _damaged(path: Path, reason: object) -> str:
     return (
         f"{path}: not a whole bag ({reason}). Expected {EXPECTED}. If a recording was cut or damaged, "
-        "`repair` may save what is whole into a new bag."
+        "`eps-tunnel repair BAG --out NEW` may save what is whole into a new bag."
     )
 
 
