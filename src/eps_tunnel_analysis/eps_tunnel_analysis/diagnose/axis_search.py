@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
-from eps_tunnel_analysis.diagnose.noise import NoiseFloor, noise_floor
+from eps_tunnel_analysis.diagnose.noise import NoiseFloor, mean_over_trials, noise_floor
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.fit.free import by_axis, default_free
 from eps_tunnel_analysis.fit.objective import Objective, middle
@@ -143,7 +143,7 @@ def pooled_floor(
         found = noise_floor(trials)
         own = np.zeros(len(signals))
         for i in efforts:
-            mean = np.nanmean(trials.values[:, :, i], axis=0)
+            mean = mean_over_trials(trials.values[:, :, i])
             calm = mean[steady(play, channel)]
             size = float(np.sqrt(np.nanmean(calm**2))) if len(calm) else 0.0
             own[i] = np.hypot(EFFORT_STEP * float(np.nanmax(np.abs(mean))), EFFORT_SHARE * size)

@@ -31,6 +31,7 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array, Trials
 
 KS = (1.0, 2.0, 3.0, 5.0)
+SHORTEST = 0.05  # s, of a span outside the tunnel that is told
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
 MOVES = 1e-3  # rad; a command that spans less excites nothing
@@ -121,7 +122,7 @@ def diagnose(
     base_model = _with(model, axes, {})
     chosen = set(named)
     final = _with(model, axes, {a.part.axis: _refit_of(a, chosen) for a in axes})
-    given, before, after = (_compared(m, plays) for m in (model, base_model, final))
+    given, before, after = (compared(m, plays) for m in (model, base_model, final))
     experiment = None
     if experiments and kind == "undecided":
         experiment = next_experiment(axes, base_model, stated)
@@ -133,10 +134,10 @@ def diagnose(
         stated=stated,
         coverage=CALIBRATION.coverage,
         sentence=sentence(kind, named, stated, probabilities),
-        where=before[0].spans,
-        given=_errors(given),
-        before=_errors(before),
-        after=_errors(after),
+        where=tuple(s for c in before for s in c.spans if s.end - s.start >= SHORTEST),
+        given=errors_of(given),
+        before=errors_of(before),
+        after=errors_of(after),
         floor={a.part.axis: (a.base.overall, _refit_of(a, chosen).overall) for a in axes},
         ranking={a.part.axis: a.ranking for a in axes},
         values={n: v for n, v in final.values().items() if n in _fitted(axes, chosen)},
@@ -221,12 +222,6 @@ def _with(model: Model, axes: Sequence[AxisDiagnosis], refits: Mapping[str, Refi
     return model
 
 
-def with_named(model: Model, diagnosis: Diagnosis) -> Model:
-    """The given model with what a diagnosis fitted and named."""
-    chosen = set(diagnosis.verdict.effects)
-    return _with(model, diagnosis.axes, {a.part.axis: _refit_of(a, chosen) for a in diagnosis.axes})
-
-
 def _fitted(axes: Sequence[AxisDiagnosis], named: set[str]) -> set[str]:
     names: set[str] = set()
     for axis in axes:
@@ -246,7 +241,8 @@ def _commands(play: Play, channel: str) -> Array:
     return np.asarray(play.trials.commands[:, :, play.trials.command_channels.index(channel)])
 
 
-def _compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
+def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
+    """A model against each play, positions only, at the rig's own step."""
     found = []
     for play in plays:
         names = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in play.trials.signals]
@@ -254,7 +250,8 @@ def _compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
     return found
 
 
-def _errors(comparisons: Sequence[Comparison]) -> Errors:
+def errors_of(comparisons: Sequence[Comparison]) -> Errors:
+    """Means over plays and signals."""
     errors = [e.command_error for c in comparisons for e in c.errors]
     kept = []
     for c in comparisons:

@@ -38,7 +38,7 @@ def noise_floor(trials: Trials, raw: Trials | None = None) -> NoiseFloor:
         raw: trials before resampling, if the grid of `trials` blurs the resolution.
     """
     values = trials.values
-    deviations = values - np.nanmean(values, axis=0)
+    deviations = values - mean_over_trials(values)
     seen = np.sum(~np.isnan(deviations), axis=(0, 1))
     freedom = np.maximum(seen * (1.0 - 1.0 / trials.count), 1.0)
     repeat = np.sqrt(np.nansum(deviations**2, axis=(0, 1)) / freedom)
@@ -47,6 +47,13 @@ def noise_floor(trials: Trials, raw: Trials | None = None) -> NoiseFloor:
     span = np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))
     # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
     return NoiseFloor(trials.signals, repeat, steps, np.maximum(floor, 1e-7 * np.maximum(span, 1e-3)))
+
+
+def mean_over_trials(values: Array) -> Array:
+    """(p, T, ...) to (T, ...) over the trials that saw a sample; NaN where none did."""
+    seen = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(seen, values, 0.0).sum(axis=0) / seen.sum(axis=0))
 
 
 def resolution(values: Array, share: float = 0.2) -> float:

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""improve: diagnose, add, diagnose again, until nothing more can be named."""
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, load_with_efforts, progress, write_diagnosis
+from eps_tunnel_analysis.cli.folder import new_folder, refuse_existing
+from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
+from eps_tunnel_analysis.cli.tables import console, table
+
+NAME = "improve"
+HELP = "Adds what is missing, step by step, until the model is complete or nothing known explains what is left."
+EPILOG = """\
+example:
+  eps-tunnel improve --real bags/real_* --model labyrinth --out better
+
+files in --out: step_1/, step_2/ ... with diagnosis.json, report.html and model.yaml each, and staircase.json."""
+MOST_STEPS = 5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_bag_arguments(parser)
+    add_model_arguments(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for every step")
+    parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects to consider (default: all)")
+    add_diagnosis_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print staircase.json, and nothing else, to stdout")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    from eps_tunnel_analysis.diagnose.diagnose import diagnose
+    from labyrinth_sim.model import save_model
+
+    refuse_existing(arguments.out)
+    recorded = load_with_efforts(arguments)
+    steps: list[dict[str, Any]] = []
+    with new_folder(arguments.out) as folder:
+        model = recorded.model
+        for number in range(1, MOST_STEPS + 1):
+            with progress() as told:
+                found = diagnose(model, recorded.plays, arguments.seed, arguments.candidates, arguments.threads, told)
+            step = folder / f"step_{number}"
+            step.mkdir()
+            write_diagnosis(step, found, replace(recorded, model=model), arguments)
+            v = found.verdict
+            if not steps:
+                steps.append({"step": 0, "added": [], **_errors("as_given", v.to_json())})
+                steps.append({"step": 0, "added": ["refitted values"], **_errors("before", v.to_json())})
+            model = found.model if v.verdict == "effect" else found.base_model
+            save_model(model, step / "model.yaml")
+            if v.verdict != "effect":
+                break
+            steps.append({"step": number, "added": list(v.effects), **_errors("after", v.to_json())})
+        staircase = {"verdict": v.verdict, "sentence": v.sentence, "steps": steps}
+        (folder / "staircase.json").write_text(json.dumps(staircase, indent=1) + "\n", encoding="utf-8")
+    if arguments.json:
+        json.dump(staircase, sys.stdout, indent=1)
+        print()
+        return
+    out = console()
+    table(
+        out,
+        "Staircase of error",
+        ("added", "error, rad", "held out, rad", "alikeness"),
+        [(" + ".join(s["added"]) or "as given", *(f"{s[k]:.3g}" for k in ("error", "held_out", "alikeness")))
+         for s in steps],
+    )  # fmt: skip
+    out.print(staircase["sentence"], soft_wrap=True, markup=False)
+    out.print(f"Models: {arguments.out}", soft_wrap=True)
+
+
+def _errors(when: str, content: dict[str, Any]) -> dict[str, Any]:
+    return {key: content[f"{key}_{when}"] for key in ("error", "held_out", "alikeness")}
