@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Multistart Gauss-Newton (scipy) with each Jacobian as one batch, and a CMA-ES polish where it stalls."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,12 +14,19 @@ from eps_tunnel_analysis.fit.evaluations import Evaluations
 from labyrinth_sim.trials import Array
 
 
+class _Enough(Exception):
+    """This descent stands still, or will not beat the best."""
+
+
 @dataclass(frozen=True)
 class GaussNewton:
     """Attributes:
     scouts: random points looked at beside the start, in one batch.
     starts: local searches, from the best of them.
     difference: step of the finite differences, in normalised units.
+    iterations: of each local search, at most.
+    patience: iterations after which a search ends that has gained less than the share `gain` in them, or that is still
+        `hopeless` times worse than the best.
     polish: evaluations of a CMA-ES from the best point, 0 for none. Delay and backlash have kinks at which
         Gauss-Newton stalls.
     """
@@ -27,13 +35,16 @@ class GaussNewton:
     starts: int = 3
     difference: float = 1e-4
     iterations: int = 12
-    polish: int = 120
+    patience: int = 3
+    gain: float = 2e-3
+    hopeless: float = 1.5
+    polish: int = 96
     name: str = "gauss-newton"
 
     @property
     def budget(self) -> int:
         """A guess for the progress bar; a run that converges early takes fewer."""
-        return self.scouts + self.starts * self.iterations * 8 + self.polish
+        return self.scouts + self.starts * self.iterations * 5 + self.polish
 
     def run(self, evaluations: Evaluations, rng: np.random.Generator) -> None:
         """Minimise; the result is `evaluations.best`."""
@@ -49,36 +60,45 @@ class GaussNewton:
             CmaEs(budget=self.polish, sigma=0.01, restarts=0).run(evaluations, rng)
 
     def _descend(self, evaluations: Evaluations, start: Array, loss: Literal["linear", "soft_l1"]) -> None:
-        scaled = evaluations.problem.fitness.scaled
-        known: dict[bytes, Array] = {}
+        problem = evaluations.problem
+        known: dict[bytes, tuple[Array, Array]] = {}
+        tried: list[tuple[float, float]] = []  # fitness and sum of squares
+        best = evaluations.best_fitness
 
-        def at(z: Array) -> Array:
+        def look(z: Array) -> tuple[Array, Array]:
+            """Residuals (R,) and Jacobian (R, k) in one batch; a step is seldom taken back, so the latter is needed."""
             if z.tobytes() not in known:
+                # Step inward at the upper bound, so that every point stays in the box.
+                h = np.where(z + self.difference <= 1.0, self.difference, -self.difference)
+                answers = evaluations.residuals(np.vstack([z, z + np.diag(h)]))
+                scaled = finite(problem.fitness.scaled(answers))
+                tried.append((float(problem.fitness(answers[:1])[0]), float(scaled[0] @ scaled[0])))
+                if len(tried) > self.patience and (self._stalled(tried) or min(tried)[0] > self.hopeless * best):
+                    raise _Enough
                 known.clear()
-                known[z.tobytes()] = finite(scaled(evaluations.residuals(z[None, :])))[0]
+                known[z.tobytes()] = scaled[0], ((scaled[1:] - scaled[0]) / h[:, None]).T
             return known[z.tobytes()]
 
-        def jacobian(z: Array) -> Array:
-            # Step inward at the upper bound, so that every point stays in the box.
-            h = np.where(z + self.difference <= 1.0, self.difference, -self.difference)
-            moved = finite(scaled(evaluations.residuals(z + np.diag(h))))
-            return ((moved - at(z)) / h[:, None]).T
+        first = np.clip(start, 1e-9, 1.0 - 1e-9)
+        scale = 0.1 * float(np.sqrt(np.mean(look(first)[0] ** 2))) or 1.0
+        with suppress(_Enough):
+            least_squares(
+                lambda z: look(z)[0],
+                first,
+                jac=lambda z: look(z)[1],
+                bounds=(0.0, 1.0),
+                loss=loss,
+                f_scale=scale,
+                x_scale="jac",
+                max_nfev=self.iterations,
+                ftol=1e-4,
+                xtol=1e-5,
+                gtol=1e-10,
+            )
 
-        first = at(np.clip(start, 0.0, 1.0))
-        scale = 0.1 * float(np.sqrt(np.mean(first**2))) or 1.0
-        least_squares(
-            at,
-            np.clip(start, 1e-9, 1.0 - 1e-9),
-            jac=jacobian,
-            bounds=(0.0, 1.0),
-            loss=loss,
-            f_scale=scale,
-            x_scale="jac",
-            max_nfev=self.iterations,
-            ftol=1e-8,
-            xtol=1e-8,
-            gtol=1e-10,
-        )
+    def _stalled(self, tried: list[tuple[float, float]]) -> bool:
+        before, now = np.min(tried[: -self.patience], axis=0), np.min(tried, axis=0)
+        return bool((now > (1.0 - self.gain) * before).all())
 
 
 def finite(residuals: Array) -> Array:
