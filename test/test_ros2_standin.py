@@ -182,6 +182,12 @@ def test_parameters_are_listed_read_and_set() -> None:
     assert ros2("param", "get", "/real/rig", "rate")[:2] == (0, "Double value is: 20.0\n")
 
 
+def test_a_parameter_is_described_with_its_range() -> None:
+    told = "Parameter name: rate\n  Type: double\n  Constraints:\n    Min value: 1.0\n    Max value: 200.0\n"
+    assert ros2("param", "describe", "/real/rig", "rate")[:2] == (0, told)
+    assert ros2("param", "describe", "/nope", "rate")[::2] == (1, "Node not found\n")
+
+
 def test_a_refused_parameter_tells_the_reason() -> None:
     code, out, err = ros2("param", "set", "/real/rig", "rate", "999.0")
     assert (code, out) == (0, "")

@@ -84,6 +84,28 @@ def set_(args: argparse.Namespace) -> str | None:
     return None
 
 
+def describe(args: argparse.Namespace) -> str | None:
+    """Show descriptive information about declared parameters"""
+    with graph.direct_node(args) as node:
+        if not found(node, args):
+            return "Node not found"
+        descriptors = ask(node, args.node_name, lambda client: client.describe_parameters(args.parameter_names))
+    for told in descriptors.descriptors:
+        print(f"Parameter name: {told.name}\n  Type: {KINDS[told.type][0]}")
+        if told.description:
+            print(f"  Description: {told.description}")
+        print("  Constraints:")
+        if told.read_only:
+            print("    Read only: true")
+        for bounds in [*told.floating_point_range, *told.integer_range][:1]:
+            print(f"    Min value: {bounds.from_value}\n    Max value: {bounds.to_value}")
+            if bounds.step:
+                print(f"    Step: {bounds.step}")
+        if told.additional_constraints:
+            print(f"    Additional constraints: {told.additional_constraints}")
+    return None
+
+
 def list_(args: argparse.Namespace) -> str | None:
     """Output a list of available parameters"""
     with graph.direct_node(args) as node:
@@ -145,6 +167,12 @@ def _set_arguments(parser: argparse.ArgumentParser) -> None:
     _timeout_argument(parser)
 
 
+def _describe_arguments(parser: argparse.ArgumentParser) -> None:
+    _common_arguments(parser)
+    parser.add_argument("parameter_names", nargs="+", help="Names of the parameters")
+    parser.set_defaults(timeout=graph.NAMED_TIME)
+
+
 def _list_arguments(parser: argparse.ArgumentParser) -> None:
     _common_arguments(parser, nargs="?")
     parser.add_argument("--filter", nargs=1, help="Only parameters matching the regex expression will be showed.")
@@ -156,5 +184,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(
         parser,
         NAME,
-        {"get": (get, _get_arguments), "list": (list_, _list_arguments), "set": (set_, _set_arguments)},
+        {
+            "describe": (describe, _describe_arguments),
+            "get": (get, _get_arguments),
+            "list": (list_, _list_arguments),
+            "set": (set_, _set_arguments),
+        },
     )
