@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from array import array
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -22,6 +23,8 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import Workplace, workplace
 from rclpy.action import ActionClient
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
 
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.nodes.processes import executable
@@ -323,3 +326,34 @@ def test_a_wrong_parameter_is_refused_with_exit_code_2(rigs: Rigs, name: str, pa
     done = started(name, parameter, environment={**rigs.environment, "ROS_DOMAIN_ID": "42"})
     assert done.returncode == 2
     assert told in done.stderr
+
+
+def test_the_parameter_file_names_every_parameter_at_its_default(rigs: Rigs) -> None:
+    file = ROOT / "config" / "nodes" / "eps_tunnel_analysis.yaml"
+    for name in ("player", "analysis_node"):
+        asked = AsyncParameterClient(rigs.node, name)
+        rigs.until(asked.services_are_ready)
+        declared = rigs.result(asked.list_parameters([], 0)).result.names
+        own = [p for p in declared if p.split(".")[0] not in ("use_sim_time", "start_type_description_service",
+                                                              "qos_overrides")]  # fmt: skip
+        values = yaml.safe_load(file.read_text(encoding="utf-8"))[name]["ros__parameters"]
+        assert sorted(values) == sorted(own)
+        given = rigs.result(asked.get_parameters(own)).values
+        told = {p: parameter_value_to_python(v) for p, v in zip(own, given, strict=True)}
+        changed = {"silence_timeout", "connect_timeout", "rest_timeout", "stall_timeout"} if name == "player" else set()
+        assert {p: list(v) if isinstance(v, array) else v for p, v in told.items() if p not in changed} == {
+            p: v for p, v in values.items() if p not in changed
+        }
+        descriptors = rigs.result(asked.describe_parameters(own)).descriptors
+        assert all(d.description.endswith("]") for d in descriptors)
+
+
+def test_a_parameter_file_and_remapping_are_taken(rigs: Rigs, tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("player: {ros__parameters: {sequence: paper_8s, connect_timeout: 0.5, sides: [real]}}\n")
+    command = [str(executable("eps_tunnel_analysis", "player")), "--ros-args", "--params-file", str(file)]
+    command += ["-r", "/real/joint_commands:=/other/targets"]
+    environment = {**rigs.environment, "ROS_DOMAIN_ID": "42"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 1
+    assert "Nobody listens to /other/targets" in done.stderr

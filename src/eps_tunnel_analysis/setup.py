@@ -36,7 +36,7 @@ setup(
         *tree(HERE / "launch", "share/eps_tunnel_analysis/launch"),
         *(
             entry
-            for kind in ("sequences",)
+            for kind in ("nodes", "sequences")
             for entry in tree(CONFIG / kind, f"share/eps_tunnel_analysis/config/{kind}")
         ),
         # colcon puts an installed bin/ on PATH, so `eps-tunnel` needs no `ros2 run`.

@@ -6,7 +6,7 @@ On a real one: `... emulated:=false hw_config:=/path/to/my_rig.yaml`.
 Without a sequence the player waits for goals on /play_sequence.
 """
 
-from launch import LaunchDescription
+from launch import LaunchDescription, SomeSubstitutionsType
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.conditions import IfCondition, UnlessCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
@@ -15,11 +15,15 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-ARGUMENTS = {
+ARGUMENTS: dict[str, tuple[SomeSubstitutionsType, str]] = {
     "emulated": ("true", "Whether the emulated testbed stands in for the rig."),
     "testbed_config": ("paper", "Name or path of a config/testbed file, where emulated."),
     "hw_config": ("paper", "Name or path of a config/hw file."),
     "model": ("labyrinth", "Name or path of the model that is compared with the rig."),
+    "params_file": (
+        PathJoinSubstitution([FindPackageShare("eps_tunnel_analysis"), "config", "nodes", "eps_tunnel_analysis.yaml"]),
+        "Parameters of player and analysis_node.",
+    ),
     "sequence": ("", "Name or path of a sequence to play at once; empty: wait for goals."),
     "trials": ("0", "Number of trials; 0: as the sequence says."),
     "record": ("false", "Whether one bag per side is recorded."),
@@ -44,6 +48,7 @@ def generate_launch_description() -> LaunchDescription:
         "record": ParameterValue(LaunchConfiguration("record"), value_type=bool),
         "folder": ParameterValue(LaunchConfiguration("folder"), value_type=str),
     }
+    file = LaunchConfiguration("params_file")
     testbed = {"config": "testbed_config", "hw_config": "hw_config"}
     return LaunchDescription(
         [
@@ -51,7 +56,7 @@ def generate_launch_description() -> LaunchDescription:
             part("labyrinth_hw", "testbed.launch.py", testbed, IfCondition(emulated)),
             part("labyrinth_hw", "hw.launch.py", {"config": "hw_config"}, UnlessCondition(emulated)),
             part("labyrinth_sim", "sim.launch.py", {"model": "model"}),
-            Node(package="eps_tunnel_analysis", executable="analysis_node", output="screen"),
-            Node(package="eps_tunnel_analysis", executable="player", output="screen", parameters=[play]),
+            Node(package="eps_tunnel_analysis", executable="analysis_node", output="screen", parameters=[file]),
+            Node(package="eps_tunnel_analysis", executable="player", output="screen", parameters=[file, play]),
         ]
     )
