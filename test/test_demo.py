@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -39,8 +40,8 @@ def children(parent: int) -> list[int]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A whole demo of two trials with a hidden effect: its folder and what it printed."""
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """A whole demo of two trials with a hidden effect: its folder and what it printed to stdout and stderr."""
     out = tmp_path_factory.mktemp("demo")
     process = demo(out, "--trials", "2", "--effect", "?")
     try:
@@ -48,11 +49,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     finally:
         process.kill()
     assert process.returncode == 0, f"{printed}\n{complaints}"
-    return out / "demo-1", printed
+    return out / "demo-1", printed, complaints
 
 
-def test_the_demo_prints_the_table_and_the_path_of_the_report(finished: tuple[Path, str]) -> None:
-    folder, printed = finished
+def test_the_demo_prints_the_table_and_the_path_of_the_report(finished: tuple[Path, str, str]) -> None:
+    folder, printed, _ = finished
     page = next(line for line in printed.splitlines() if "report.html" in line and line.startswith("Done"))
     path = Path(page.split(": ", 1)[1])
     assert path == (folder / "gap" / "report.html").resolve()
@@ -63,19 +64,30 @@ def test_the_demo_prints_the_table_and_the_path_of_the_report(finished: tuple[Pa
     assert "Hidden in the testbed:" in printed
 
 
-def test_the_demo_leaves_one_whole_bag_per_side_with_the_trials_marked(finished: tuple[Path, str]) -> None:
-    folder, _ = finished
+def test_without_a_terminal_progress_is_a_line_for_each_phase(finished: tuple[Path, str, str]) -> None:
+    _, _, told = finished
+    assert "\r" not in told
+    lines = [line.split(",")[0] for line in told.splitlines() if line.startswith("trial ")]
+    assert {f"trial {n}/2 playing" for n in (1, 2)} <= set(lines)
+    assert all(one != other for one, other in pairwise(lines))
+
+
+def test_the_demo_leaves_one_whole_bag_per_side_with_the_trials_marked(finished: tuple[Path, str, str]) -> None:
+    folder, _, _ = finished
     command = find_sequence("paper_8s").commands[0]
     for side in ("real", "sim"):
         recording = read(folder / "bags" / f"paper_8s_{side}")
         assert recording.closed
         assert recording.metadata["sequence_hash"] == command.hash
-        assert [mark.phase for mark in recording.marks] == ["start", "end", "start", "end"]
+        phases = [mark.phase for mark in recording.marks]
+        # On a busy machine a trial may have been begun anew.
+        assert phases.count("end") == 2
+        assert phases.count("start") == 2 + phases.count("aborted")
         assert {"motor_x", "motor_y", "board_x", "board_y"} <= set(recording.topics[f"/{side}/joint_states"].joints)
 
 
-def test_the_report_holds_every_k_and_where_the_model_fails(finished: tuple[Path, str]) -> None:
-    folder, _ = finished
+def test_the_report_holds_every_k_and_where_the_model_fails(finished: tuple[Path, str, str]) -> None:
+    folder, _, _ = finished
     content = json.loads((folder / "gap" / "compare.json").read_text(encoding="utf-8"))
     assert [row["k"] for row in content["alikeness"]] == [1, 2, 3, 4, 5]
     shares = [row["joint"] for row in content["alikeness"]]
