@@ -69,6 +69,7 @@ setup(
         "console_scripts": [
             "player = eps_tunnel_analysis.nodes.player:main",
             "analysis_node = eps_tunnel_analysis.nodes.analysis_node:main",
+            "calibrate_node = eps_tunnel_analysis.nodes.calibrate_node:main",
             "demo = eps_tunnel_analysis.nodes.demo:main",
             "eps_tunnel = eps_tunnel_analysis.cli.main:main",
         ],

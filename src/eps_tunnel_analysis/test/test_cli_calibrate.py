@@ -12,6 +12,7 @@ import pytest
 from fit_cases import TRUTH, bag_of, plays
 
 from eps_tunnel_analysis.cli.main import main
+from eps_tunnel_analysis.fit.process import run_calibration
 from labyrinth_sim.model import load_model
 
 PATHS = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2] / "labyrinth_sim")]
@@ -118,3 +119,17 @@ def test_ctrl_c_keeps_the_best_so_far_and_the_checkpoint_goes_on_from_there(bags
     first, second = json.loads(whole.stdout), json.loads(process.stdout)
     assert second["values"] == first["values"]
     assert second["fits"][0]["history"] == first["fits"][0]["history"]
+
+
+def test_a_calibration_in_a_process_tells_its_progress_and_can_be_called_off(bags, tmp_path) -> None:
+    told = []
+    arguments = ["--real", bags, "--model", "labyrinth", "--out", tmp_path / "mine", "--method", "es",
+                 "--free", "drive.x.p", "--signals", "motor_x"]  # fmt: skip
+    ended = run_calibration([str(a) for a in arguments], told.append, lambda: any(t.evaluations > 1 for t in told))
+    assert not ended.success
+    assert ended.content["interrupted"]
+    assert 0 < told[-1].share < 1
+    assert load_model(tmp_path / "mine.yaml").values()["drive.x.p"] == ended.content["values"]["drive.x.p"]
+    refused = run_calibration([str(a) for a in arguments], told.append, lambda: False)
+    assert not refused.success
+    assert "never overwritten" in refused.message

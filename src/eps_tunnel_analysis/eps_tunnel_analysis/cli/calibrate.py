@@ -135,14 +135,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _targets(out: Path) -> tuple[Path, Path]:
     """The model's file and the result's; refused before the work starts where either exists."""
-    out = out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
-    beside = out.with_suffix(".fit.json")
+    out, beside = _targets_of(out)
     there = [path for path in (out, beside) if path.exists()]
     if there:
         raise InputError([f"--out {path}: exists already and is never overwritten. Name another." for path in there])
     if not out.parent.exists():
         out.parent.mkdir(parents=True)
     return out, beside
+
+
+def _targets_of(out: Path) -> tuple[Path, Path]:
+    out = out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
+    return out, out.with_suffix(".fit.json")
 
 
 def _method(arguments: argparse.Namespace) -> "Method | str":
@@ -210,6 +214,7 @@ def _content(
 ) -> dict[str, Any]:
     return {
         "command": NAME,
+        "out": str(_targets_of(arguments.out)[0]),
         "called": shlex.join(["eps-tunnel", *sys.argv[1:]]),
         "date": _today(),
         "versions": versions(),
