@@ -25,7 +25,7 @@ REPEATS = 5
 def measure() -> dict[str, float]:
     """`batch_vs_limit`, `batch_vs_limit_per_step`, and steps per second by size of batch."""
     plain = load_model("labyrinth_manual")
-    native = plain.with_effect("backlash", "x").with_effect("coulomb_friction", "y")
+    native = plain.with_effect("belt_compliance", "x").with_effect("coulomb_friction", "y")
     per_step = plain.with_effect("stribeck_friction", "x").with_effect("load_friction", "y")
     figures: dict[str, float] = {"batch_cores": float(CORES)}
     with tempfile.TemporaryDirectory() as folder:

@@ -15,35 +15,22 @@ from labyrinth_sim.simulate import simulate
 from labyrinth_sim.trials import Array
 
 ACTS_ON = {"axis": "each axis", "signal": "each measured angle", "ball": "the ball"}
-WIDTH, HEIGHT, MARGIN = 520, 150, 8
+WIDTH = 520
+DASHED = 'stroke="#555" stroke-width="0.8" stroke-dasharray="4 3"'
+GREY = 'stroke="#999" stroke-width="1.5"'
+RED = 'stroke="#c0392b" stroke-width="1.5"'
 INTRODUCTION = """# Effects and drives
 
 Made by `python -m labyrinth_sim.effects_page` from the declarations in `labyrinth_sim/effects` and
 `labyrinth_sim/drives`; do not edit. At its *off* value an effect changes no bit of a simulation. In the pictures the
-dashed line is the command, grey the model without the effect, red the model with it, at the value in the title.
+dashed line is the command (half a triangle, a step, then rest while the other axis swings; for the ball: level for 1 s,
+then tilted by 0.012 rad), grey the model without the effect, red the model with it, at the value in the title; below is
+the difference between the two, on a scale of its own.
 
 To add one of your own, write a file that declares `EFFECT = Effect(...)` as those in `labyrinth_sim/effects` do, and
-name its folder by `--effects-folder` or `$EPS_TUNNEL_EFFECTS`, or declare an entry point of the group
+name its folder by `--effects DIR` or `$EPS_TUNNEL_EFFECTS`, or declare an entry point of the group
 `labyrinth_sim.effects`.
 """
-
-
-def effects_table() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows of the list of effects, as `eps-tunnel effects` prints it."""
-    header = ("effect", "acts on", "parameters", "off", "bounds", "what it is")
-    rows: list[tuple[str, ...]] = []
-    for effect in effects().values():
-        rows.append(
-            (
-                effect.name,
-                ACTS_ON[effect.where],
-                "\n".join(f"{p.name} [{p.unit}]" for p in effect.parameters),
-                "\n".join(_off(p) for p in effect.parameters),
-                "\n".join(f"{p.low:g} to {p.high:g}" for p in effect.parameters),
-                effect.physics,
-            )
-        )
-    return header, rows
 
 
 def page() -> str:
@@ -91,24 +78,34 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def picture(effect: Effect) -> str:
-    """SVG of a signal with and without the effect."""
+    """SVG of a signal with and without the effect, and below it of the difference."""
     model = load_model("labyrinth_manual")
     place = model.places(effect)[0]
     ball = effect.where == "ball" or "ball" in effect.needs
     time: Array = np.linspace(0.0, 3.0, 301)
     x = np.interp(time, [0, 0.4, 1.2, 1.6], [0, 0.06, -0.06, 0]) + np.where((time > 1.8) & (time < 2.4), 0.06, 0.0)
     y = np.where(time > 2.4, 0.06 * np.sin(10 * (time - 2.4)), 0.0)
-    start = {"ball_x": 0.1, "ball_y": 0.1} if ball else None
+    start = {"ball_x": 0.18, "ball_y": 0.135} if ball else None  # before 90 mm of free corridor, then a wall
     if ball:
-        x, y = 0 * time, np.where(time < 1, 0.0, 0.02)
+        x, y = 0 * time, np.where(time < 1, 0.0, 0.012)
         place = place if effect.where == "ball" else model.rig.axes[1].name
     commands = np.stack([x, y], axis=1)
     column = _column(effect, place, ball)
     plain, rich = (simulate(m, time, commands, start) for m in (model, model.with_effect(effect, place)))
-    lines = [trials.values[0, :, trials.index(column)] for trials in (plain, rich)]
+    # Millimetres and degrees, because people read this.
+    unit, scale = ("mm", 1000.0) if ball else ("deg", 180 / np.pi)
+    without, with_it = (scale * trials.values[0, :, trials.index(column)] for trials in (plain, rich))
     p = effect.main
-    title = f"{column}, {effect.name} at {place}: {p.name} = {p.typical:g} {p.unit}"
-    return _svg(title, time, commands[:, 0] if not ball else None, *lines)
+    title = (
+        f"{column} [{unit}], {effect.name} at {place}: {p.name} = {p.typical:g}{'' if p.unit == '1' else ' ' + p.unit}"
+    )
+    curves = (
+        [(without, GREY), (with_it, RED)]
+        if ball
+        else [(scale * commands[:, 0], DASHED), (without, GREY), (with_it, RED)]
+    )
+    below = f"with less without [{unit}]"
+    return _svg([(title, curves, 110), (below, [(with_it - without, RED)], 45)], time)
 
 
 def _column(effect: Effect, place: str, ball: bool) -> str:
@@ -117,29 +114,45 @@ def _column(effect: Effect, place: str, ball: bool) -> str:
     return place if effect.where == "signal" else f"board_{place}"
 
 
-def _svg(title: str, time: Array, command: Array | None, without: Array, with_it: Array) -> str:
-    every = [without, with_it] + ([] if command is None else [command])
-    low, high = min(float(a.min()) for a in every), max(float(a.max()) for a in every)
-    span = max(high - low, 1e-9)
+def _svg(panels: Sequence[tuple[str, list[tuple[Array, str]], int]], time: Array) -> str:
+    """Panels of (title, curves, height) under one another, each with its own scale, over one time axis in s."""
+    left, right, top, parts = 58, WIDTH - 8, 0, []
+    for title, curves, height in panels:
+        low, high = min(float(c.min()) for c, _ in curves), max(float(c.max()) for c, _ in curves)
+        middle, half = (low + high) / 2, max((high - low) / 2, 1e-6)
+        top += 20
 
-    def path(values: Array, style: str) -> str:
-        px = MARGIN + (WIDTH - 2 * MARGIN) * time[::2] / time[-1]
-        py = HEIGHT - MARGIN - (HEIGHT - 30) * (values[::2] - low) / span
-        points = " ".join(f"{a:.0f},{b:.1f}" for a, b in zip(px, py, strict=True))
-        return f'<polyline fill="none" {style} points="{points}"/>'
+        def row(
+            value: float, top: int = top, height: int = height, middle: float = middle, half: float = half
+        ) -> float:
+            return top + height / 2 * (1.0 - (value - middle) / half)
 
-    dashed = [] if command is None else [path(command, 'stroke="#555" stroke-width="0.8" stroke-dasharray="4 3"')]
-    return "\n".join(
-        [
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}">',
-            '<rect width="100%" height="100%" fill="white"/>',
-            f'<text x="{MARGIN}" y="14" font-family="sans-serif" font-size="11" fill="#333">{title}</text>',
-            *dashed,
-            path(without, 'stroke="#999" stroke-width="1.5"'),
-            path(with_it, 'stroke="#c0392b" stroke-width="1.5"'),
-            "</svg>\n",
-        ]
-    )
+        parts.append(_text(left, top - 5, title, "start"))
+        parts += [_text(left - 5, row(v) + 4, f"{v:.3g}", "end") for v in (low, high)]
+        parts += [_line(left, row(v), right, row(v)) for v in (low, high)]
+        parts += [_line(px, top, px, top + height) for px in np.interp([0, 1, 2, 3], time[[0, -1]], [left, right])]
+        for curve, style in curves:
+            px = np.interp(time[::2], time[[0, -1]], [left, right])
+            points = " ".join(f"{a:.0f},{row(b):.1f}" for a, b in zip(px, curve[::2], strict=True))
+            parts.append(f'<polyline fill="none" {style} points="{points}"/>')
+        top += height
+    parts += [
+        _text(float(px), top + 14, label, anchor)
+        for px, label, anchor in zip(
+            np.interp([0, 1, 2, 3], time[[0, -1]], [left, right]),
+            ("0", "1", "2", "3 s"), ("middle", "middle", "middle", "end"), strict=True)
+    ]  # fmt: skip
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{top + 20}">'
+    return "\n".join([head, '<rect width="100%" height="100%" fill="white"/>', *parts, "</svg>\n"])
+
+
+def _text(x: float, y: float, text: str, anchor: str) -> str:
+    style = f'font-family="sans-serif" font-size="11" fill="#333" text-anchor="{anchor}"'
+    return f'<text x="{x:.0f}" y="{y:.0f}" {style}>{text}</text>'
+
+
+def _line(x1: float, y1: float, x2: float, y2: float) -> str:
+    return f'<line x1="{x1:.0f}" y1="{y1:.0f}" x2="{x2:.0f}" y2="{y2:.0f}" stroke="#ddd" stroke-width="0.7"/>'
 
 
 def main() -> None:

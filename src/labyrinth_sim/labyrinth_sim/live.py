@@ -47,7 +47,8 @@ class Live:
         actuator, bias, passive (nsim, nv): N m on each degree of freedom as of the last step: of the drives; of inertia
             and gravity, on the other side of the equation; of springs and dampers.
         drives: kind and place of each axis's drive.
-        force (nsim, nu): N m, of each actuator as of the last step.
+        ctrl (nsim, nu): of the actuators, for this step.
+        length, rate (nsim, ntendon): of the belts, rad, rad/s, as of the last step.
         base: values of the fields that step hooks write, before any hook.
         model: what all simulations share.
         step: s.
@@ -67,7 +68,9 @@ class Live:
         self.actuator: Array = batch.bind("qfrc_actuator")
         self.bias: Array = batch.bind("qfrc_bias")
         self.passive: Array = batch.bind("qfrc_passive")
-        self.force: Array = batch.bind("actuator_force")
+        self.ctrl: Array = batch.bind("ctrl")
+        self.length: Array = batch.bind("ten_length")
+        self.rate: Array = batch.bind("ten_velocity")
         self.model = batch.model
         self.step = float(batch.model.opt.timestep)
         self._torque = fields.torque

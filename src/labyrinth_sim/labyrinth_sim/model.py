@@ -171,11 +171,17 @@ def load_model(name: str | Path, effects_folder: Path | str | None = None) -> Mo
     complaints: list[str] = []
     known = {"name", "rig", "description", "drives", "effects", "quantities", "provenance"}
     complaints += [f"{path}: {unknown_name('entry', key, known)}" for key in data if key not in known]
-    complaints += [f"{path}: '{key}' is missing." for key in ("name", "rig", "drives") if key not in data]
-    if complaints:
-        raise InputError(complaints)
+    missing = [f"{path}: '{key}' is missing." for key in ("name", "rig", "drives") if key not in data]
+    if missing:
+        raise InputError(complaints + missing)
+    for key in ("quantities", "provenance"):
+        if not isinstance(data.get(key) or {}, dict):
+            complaints.append(f"{path}: '{key}' must be a mapping, got {data.pop(key)!r}.")
     rig_file = path.parent / str(data["rig"])
-    rig = load_rig(rig_file if rig_file.is_file() else str(data["rig"]))
+    try:
+        rig = load_rig(rig_file if rig_file.is_file() else str(data["rig"]))
+    except InputError as error:
+        raise InputError([*complaints, *error.complaints]) from error
     model = Model(
         name=str(data["name"]),
         rig=rig,

@@ -8,7 +8,7 @@ from typing import Any
 from labyrinth_sim.effect import Effect, Parameter, drives
 from labyrinth_sim.errors import unknown_name
 from labyrinth_sim.parts import DriveUse, EffectUse, Value, check_bounds, effect_complaints
-from labyrinth_sim.rig import Rig
+from labyrinth_sim.rig import Rig, is_number
 
 
 def read_drives(path: Path, rig: Rig, data: Any, complaints: list[str]) -> Iterator[tuple[str, DriveUse]]:
@@ -22,10 +22,10 @@ def read_drives(path: Path, rig: Rig, data: Any, complaints: list[str]) -> Itera
         entry = data.get(axis)
         if not isinstance(entry, dict) or "kind" not in entry:
             complaints.append(f"{path}: drives.{axis} needs a 'kind' (one of {', '.join(library)}) and 'values'.")
-        elif entry["kind"] not in library:
+        elif str(entry["kind"]) not in library:
             complaints.append(f"{path}: drives.{axis}: {unknown_name('drive', str(entry['kind']), library)}")
         else:
-            kind = library[entry["kind"]]
+            kind = library[str(entry["kind"])]
             where = f"{path}: drive.{axis}"
             yield axis, DriveUse(kind, read_values(where, kind.parameters, entry.get("values") or {}, complaints))
 
@@ -82,8 +82,8 @@ def read_value(where: str, p: Parameter, entry: Any, complaints: list[str]) -> V
     found = []
     if str(entry["unit"]) != p.unit:
         found.append(f"{where} must be given in {p.unit}, got unit '{entry['unit']}'. Convert the value.")
-    if not isinstance(entry["value"], int | float) or isinstance(entry["value"], bool):
-        found.append(f"{where} must be a number, got {entry['value']!r}.")
+    if not is_number(entry["value"]):
+        found.append(f"{where} must be a number, got {entry['value']!r} (YAML wants 1.0e+3, not 1e3).")
     else:
         found += check_bounds(where, p, float(entry["value"]))
     complaints += found

@@ -117,9 +117,9 @@ def load_rig(name: str | Path) -> Rig:
     complaints: list[str] = []
     known = set(Rig.__dataclass_fields__) - {"path"}
     complaints += [f"{path}: {unknown_name('entry', key, known)}" for key in data if key not in known]
-    complaints += [f"{path}: '{key}' is missing." for key in ("name", "mjcf", "axes") if key not in data]
-    if complaints:
-        raise InputError(complaints)
+    missing = [f"{path}: '{key}' is missing." for key in ("name", "mjcf", "axes") if key not in data]
+    if missing:
+        raise InputError(complaints + missing)
     axes = [
         _axis(path, key, entry, complaints) for key, entry in _mapping(path, "axes", data["axes"], complaints).items()
     ]
@@ -128,11 +128,11 @@ def load_rig(name: str | Path) -> Rig:
     files: dict[str, Path | None] = {}
     for key in ("mjcf", "mjcf_without_ball"):
         try:
-            files[key] = find_beside(path, "mjcf", data[key]) if data.get(key) else None
+            files[key] = find_beside(path, "mjcf", str(data[key])) if data.get(key) else None
         except InputError as error:
             complaints += error.complaints
     step = data.get("sample_time", 0.01)
-    if not isinstance(step, int | float) or not 1e-4 <= step <= 1:
+    if not is_number(step) or not 1e-4 <= step <= 1:
         complaints.append(f"{path}: sample_time must be a number from 0.0001 to 1 s, got {step!r}.")
     topics = dict(TOPICS)
     for key, value in _mapping(path, "topics", data.get("topics") or {}, complaints).items():
@@ -145,7 +145,7 @@ def load_rig(name: str | Path) -> Rig:
         if set(entry) != {"joint", "site"}:
             complaints.append(f"{path}: 'ball' needs exactly joint and site, got {sorted(entry)}.")
         else:
-            ball = Ball(**entry)
+            ball = Ball(str(entry["joint"]), str(entry["site"]))
     names = [m.signal for a in axes if a for m in a.measured]
     complaints += [f"{path}: signal '{n}' occurs twice." for n in sorted({n for n in names if names.count(n) > 1})]
     if complaints:
@@ -174,7 +174,7 @@ def _axis(path: Path, name: str, entry: Any, complaints: list[str]) -> Axis | No
     if bool(entry.get("belt")) != bool(entry.get("load_joint")):
         found.append(f"{where}: belt and load_joint come together or not at all.")
     limits = entry.get("limits", [-3.2, 3.2])
-    if not (isinstance(limits, list) and len(limits) == 2 and limits[0] < limits[1]):
+    if not (isinstance(limits, list) and len(limits) == 2 and all(map(is_number, limits)) and limits[0] < limits[1]):
         found.append(f"{where}: limits must be [low, high] in rad, got {limits!r}.")
     measured = []
     for signal, spec in _mapping(path, f"axes.{name}.measured", entry.get("measured") or {}, found).items():
@@ -195,6 +195,11 @@ def _axis(path: Path, name: str, entry: Any, complaints: list[str]) -> Axis | No
         limits=(float(limits[0]), float(limits[1])),
         **{k: str(entry[k]) for k in ("command", "actuator", "joint", "load_joint", "belt") if entry.get(k)},
     )
+
+
+def is_number(value: object) -> bool:
+    """Whether YAML gave a number; its booleans are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

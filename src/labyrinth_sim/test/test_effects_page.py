@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from labyrinth_sim.effect import effects
-from labyrinth_sim.effects_page import effects_table, page, picture
+from labyrinth_sim.effects_page import page, picture
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 REMEDY = "run python -m labyrinth_sim.effects_page in the root of the source tree"
@@ -29,12 +29,6 @@ def test_a_picture_is_up_to_date() -> None:
     drawn = numbers((DOCS / "effects" / f"{effect.name}.svg").read_text(encoding="utf-8"))
     # Other processors round differently in the last bits of a simulation.
     assert numbers(picture(effect)) == pytest.approx(drawn, abs=1.0), REMEDY
-
-
-def test_the_table_has_a_row_for_each_effect() -> None:
-    header, rows = effects_table()
-    assert [row[0] for row in rows] == list(effects())
-    assert {len(row) for row in rows} == {len(header)}
 
 
 def test_those_mistaken_for_one_another_exist() -> None:

@@ -116,3 +116,45 @@ def test_a_broken_effect_file_is_told(tmp_path: Path, text: str) -> None:
     (tmp_path / "broken.py").write_text(text)
     with pytest.raises(InputError, match=r"broken\.py"):
         effects(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"effects": 3}, "'effects' must be a list"),
+        ({"quantities": 4}, "'quantities' must be a mapping"),
+        ({"provenance": 7}, "'provenance' must be a mapping"),
+        ({"drives": {"horn": {"kind": ["x"], "values": 7}}}, "Unknown drive"),
+        ({"rig": 5}, "Unknown rig '5'"),
+    ],
+)
+def test_a_malformed_entry_is_told_beside_an_unknown_one(
+    tmp_path: Path, change: dict[str, object], complaint: str
+) -> None:
+    horn = yaml.safe_load(load_model("horn").path.read_text())
+    (tmp_path / "wrong.yaml").write_text(yaml.safe_dump({**horn, **change, "colour": "red"}))
+    with pytest.raises(InputError) as told:
+        load_model(tmp_path / "wrong.yaml")
+    assert complaint in str(told.value)
+    assert "colour" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"mjcf": 7}, {"sample_time": True}, {"ball": 3}, {"topics": [1]}, {"axes": {"a": {"limits": ["a", "b"]}}}],
+)
+def test_a_malformed_rig_is_told(tmp_path: Path, change: dict[str, object]) -> None:
+    horn = yaml.safe_load(load_rig("horn").path.read_text())
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump({**horn, **change}))
+    with pytest.raises(InputError):
+        load_rig(tmp_path / "rig.yaml")
+
+
+def test_an_effect_of_an_installed_package_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    about = tmp_path / "bent-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: bent\nVersion: 1\n")
+    (about / "entry_points.txt").write_text("[labyrinth_sim.effects]\nbent = bent_package:EFFECT\n")
+    (tmp_path / "bent_package.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert "bent_sensor" in effects()

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Backlash: belt slack, or play at the shaft where there is no belt."""
 
+import numpy as np
+
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.filters import Play
-from labyrinth_sim.live import Fields
+from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
+
+HOLD = 0.005  # N m; an estimate of the load's own bearings, by which it stays where the slack belt leaves it
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
@@ -13,6 +17,16 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
         slack = fields["tendon_lengthspring"]
         slack[:, site.tendon, 0] -= values["width"] / 2
         slack[:, site.tendon, 1] += values["width"] / 2
+
+
+def step(live: Live, site: Site, values: Values) -> None:
+    """A slack belt neither pulls nor damps; MuJoCo's tendon would damp also within its spring's dead band."""
+    if site.tendon < 0:
+        return
+    stretch = live.length[:, site.tendon] + live.step * live.rate[:, site.tendon]
+    slack = np.abs(stretch) < values["width"] / 2
+    live["tendon_damping"][slack, site.tendon] = 0.0
+    live["dof_frictionloss"][slack, site.load_dof] += HOLD
 
 
 def measure(values: Values, site: Site, step: float, start: Array) -> Play | None:
@@ -28,8 +42,8 @@ EFFECT = Effect(
     title="Backlash (belt slack)",
     physics="Between driven and driving side lies a gap that must be crossed at every reversal before force "
     "is passed on.",
-    equation="belt torque = k (s - clip(s, -w/2, w/2)), s = r motor - board; without a belt, angle' trails "
-    "by at most w/2",
+    equation="belt torque = k (s - clip(s, -w/2, w/2)) + d ds/dt where |s| > w/2, else 0, s = r motor - board; without "
+    "a belt, angle' trails by at most w/2",
     parameters=(
         Parameter("width", "rad", 0.0, 0.06, 0.0, 0.015, "0 to 3.4 deg; toy belts and worn gears show 0.5 to 2 deg"),
     ),
@@ -41,6 +55,8 @@ EFFECT = Effect(
     separated_by="Slow triangles of two amplitudes with encoder and potentiometer: backlash widens the loop "
     "between the two, "
     "friction the one between command and encoder.",
+    touches=("tendon_damping", "dof_frictionloss"),
     fields=fields,
+    step=step,
     measure=measure,
 )

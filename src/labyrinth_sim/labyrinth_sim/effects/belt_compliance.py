@@ -7,15 +7,17 @@ from labyrinth_sim.site import Site
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
-    stiffness = fields["tendon_stiffness"]
-    stiffness[:, site.tendon] /= 1.0 + values["compliance"] * stiffness[:, site.tendon]
+    stiffness, damping = fields["tendon_stiffness"], fields["tendon_damping"]
+    softer = 1.0 + values["compliance"] * stiffness[:, site.tendon]
+    stiffness[:, site.tendon] /= softer
+    damping[:, site.tendon] /= softer  # a soft belt that kept the stiff one's damper would creep, not swing
 
 
 EFFECT = Effect(
     name="belt_compliance",
     title="Belt compliance",
     physics="The belt stretches under load like a spring.",
-    equation="belt torque = s / (1/k + c), s = r motor - board",
+    equation="belt torque = (s + ds/dt d/k) / (1/k + c), s = r motor - board",
     parameters=(Parameter("compliance", "rad/(N m)", 0.0, 2.0, 0.0, 0.3, "0 to a rubber band: 1 deg at 9 mN m"),),
     stage="mjcf",
     mark="The board swings after a step and lags the motor in proportion to its acceleration; no loop in slow motion.",

@@ -21,7 +21,7 @@ EFFECT = Effect(
     name="restitution",
     title="Restitution",
     physics="The ball bounces off walls with a part of its speed.",
-    equation="speed after = -e speed before",
+    equation="speed after = -e speed before, across the contact, before the ball's spin brakes it",
     parameters=(Parameter("coefficient", "1", 0.0, 0.9, 0.0, 0.5, "steel on wood bounces with 0.3 to 0.7"),),
     stage="mjcf",
     mark="The ball comes back from walls instead of staying at them.",

@@ -6,17 +6,31 @@ import numpy as np
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.live import Live
 from labyrinth_sim.site import Site
-
-LEAST = 0.02  # of the full voltage
+from labyrinth_sim.trials import Array
 
 
 def step(live: Live, site: Site, values: Values) -> None:
-    load = np.zeros_like(values["sag"])
-    for _, other in live.drives:
-        full = live.base["actuator_forcerange"][:, other.actuator, 1]
-        load = load + np.abs(live.force[:, other.actuator]) / full
+    """Solves V'/V = 1 - s sum_i min(wanted_i, V'/V), wanted being the torque at full voltage.
+
+    Newton from all motors saturated: the right side is piecewise linear and convex, so as many rounds as motors do.
+    """
+    wanted = np.stack([_wanted(live, other) for _, other in live.drives])
+    sag = values["sag"]
+    factor = 1.0 / (1.0 + sag * len(wanted))
+    for _ in wanted:
+        free = wanted < factor
+        factor = (1.0 - sag * np.where(free, wanted, 0.0).sum(axis=0)) / (1.0 + sag * (~free).sum(axis=0))
     drive, place = live.drives[site.channel]
-    drive.supply(live, place, np.maximum(1.0 - values["sag"] * load, LEAST))
+    drive.supply(live, place, factor)
+
+
+def _wanted(live: Live, site: Site) -> Array:
+    """(nsim,) share of its full torque that an axis's servo, linear in angle and speed as MuJoCo's are, would give."""
+    i = site.actuator
+    gain, bias = live.base["actuator_gainprm"][:, i], live.base["actuator_biasprm"][:, i]
+    torque = gain[:, 0] * live.ctrl[:, i] + bias[:, 0]
+    torque = torque + bias[:, 1] * live.qpos[:, site.qpos] + bias[:, 2] * live.qvel[:, site.dof]
+    return np.minimum(np.abs(torque) / live.base["actuator_forcerange"][:, i, 1], 1.0)
 
 
 EFFECT = Effect(
@@ -24,11 +38,7 @@ EFFECT = Effect(
     title="Supply sag",
     physics="The supply's voltage falls with the current that all motors draw, and with it the torque they can give.",
     equation="V' = V (1 - s sum_i |torque_i| / torque_max,i)",
-    parameters=(
-        Parameter(
-            "sag", "1", 0.0, 0.98, 0.0, 0.8, "0 to a supply that nearly breaks down at the stall torque of one motor"
-        ),
-    ),
+    parameters=(Parameter("sag", "1", 0.0, 0.98, 0.0, 0.8, "0 to a supply whose voltage one stalled motor halves"),),
     stage="force",
     mark="Both axes moving at once are slower than either alone; large steps lose their top speed.",
     shows="passing",

@@ -115,11 +115,11 @@ class SimNode(Node):
         channels = self._model.rig.command_channels
         names, angles = list(message.name), np.array(message.position, float)
         unknown = [n for n in names if n not in channels]
-        if unknown or len(names) != len(angles) or np.isinf(angles).any():
+        if not names or unknown or len(names) != len(angles) or not np.isfinite(angles).all():
             self._refused += 1
             self.get_logger().warning(
-                f"Refused a command with names {names} and {len(angles)} positions; expected finite positions (rad; "
-                f"NaN switches the drive off) for some of {', '.join(channels)}.",
+                f"Refused a command with names {names} and {len(angles)} positions; expected finite positions "
+                f"(rad) for some of {', '.join(channels)}.",
                 throttle_duration_sec=1.0,
             )
             return
