@@ -14,6 +14,7 @@ from typing import Any
 
 from labyrinth_hw.errors import InputError, unknown_name
 from labyrinth_hw.links import camera_source
+from labyrinth_hw.priority import ordinary_priority
 
 KEYS = {"source", "intrinsics", "field_of_view_deg", "size", "latency", "quarter_turns"}
 
@@ -90,7 +91,8 @@ class Vision:
         self._sights, other = context.Pipe(duplex=False)
         self.pictures = context.Event()
         self._process = context.Process(target=_watch, args=(settings, other, self.pictures, os.getpid()), daemon=True)
-        self._process.start()
+        with ordinary_priority():
+            self._process.start()
         other.close()
 
     def next(self, timeout: float) -> Sight | None:

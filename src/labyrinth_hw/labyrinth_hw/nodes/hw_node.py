@@ -32,6 +32,7 @@ from labyrinth_hw.vision import Sight, Vision
 from labyrinth_msgs.msg import BallEvent, BallState
 
 RELIABLE = QoSProfile(depth=50)
+CALLBACKS, CONTROL = 9, 10  # real-time priorities
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
@@ -139,7 +140,7 @@ class HwNode(Node):
                 self._command = Command(dict(self._goals), time.monotonic() - max(0.0, age))
 
     def _control(self) -> None:
-        if not ask_for_priority():
+        if not ask_for_priority(CONTROL):
             self.get_logger().info("No real-time priority; on a busy machine control periods may come late.")
         due = time.monotonic()
         try:
@@ -270,6 +271,7 @@ def main() -> None:
     def terminated(number: int, frame: FrameType | None) -> None:
         rclpy.try_shutdown()
 
+    ask_for_priority(CALLBACKS, children=True)  # before DDS starts its threads
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, terminated)

@@ -168,7 +168,8 @@ class SimNode(Node):
         for m in self._model.rig.measured:
             by_joint.setdefault(m.joint, {})[m.quantity] = float(seen[m.signal])
         shafts = {axis.joint: axis.command for axis in self._model.rig.axes}
-        for joint, numbers in by_joint.items():
+        for joint in sorted(by_joint, key=lambda joint: joint not in shafts):  # as the rig has them: motors first
+            numbers = by_joint[joint]
             message.name.append(shafts.get(joint, joint))
             noise = self._noise * self._random.standard_normal() if self._noise else 0.0
             message.position.append(numbers.get("position", float("nan")) + noise)
