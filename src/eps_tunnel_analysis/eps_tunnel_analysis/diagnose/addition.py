@@ -7,7 +7,7 @@ from typing import Any
 
 from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_search, base_refit
 from eps_tunnel_analysis.diagnose.candidates import Candidate
-from eps_tunnel_analysis.diagnose.diagnose import compared, errors_of
+from eps_tunnel_analysis.diagnose.diagnose import compared, errors_of, is_moved
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.verdict import Errors
 from eps_tunnel_analysis.plays import Play
@@ -65,7 +65,7 @@ def add_effects(model: Model, plays: Sequence[Play], names: Sequence[str], nthre
     base_model, final = model, model
     values: dict[str, float] = {}
     left = list(dict.fromkeys(names))
-    for part in axis_parts(model, plays):
+    for part in (p for p in axis_parts(model, plays) if is_moved(model, p, plays)):
         search = axis_search(model, plays, part, only=[n.partition(".")[0] for n in names], nthread=nthread)
         mine = [c for c in search.library.candidates if c.name in left]
         left = [n for n in left if n not in [c.name for c in mine]]

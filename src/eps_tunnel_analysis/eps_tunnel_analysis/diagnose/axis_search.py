@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
-from eps_tunnel_analysis.diagnose.noise import NoiseFloor, mean_over_trials, noise_floor
+from eps_tunnel_analysis.diagnose.noise import noise_floor
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.fit.free import by_axis, default_free
 from eps_tunnel_analysis.fit.objective import Objective, middle
 from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.model import Model
+from labyrinth_sim.trials import Array
 
 COARSE = 0.005  # s, MuJoCo's step while searching
 FINE = 0.0025  # s, while judging; finer changes nothing that shows
@@ -91,8 +92,8 @@ def axis_search(
     used = np.flatnonzero(~np.isin(objective.blocks % len(part.signals), efforts := _columns(part.signals, torque)))
     if efforts:
         used = np.sort(np.concatenate([used, _steady_efforts(objective, plays, channel, efforts)]))
-    floor = pooled_floor(plays, part.signals, efforts, channel)
-    return Search(lib, objective, fine, floor, kept_samples(objective, plays), used, told)
+    scale = floors(objective, plays, efforts, channel)
+    return Search(lib, objective, fine, scale, kept_samples(objective, plays), used, told)
 
 
 def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
@@ -129,30 +130,26 @@ def steady(play: Play, channel: str) -> NDArray[np.bool_]:
     return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)
 
 
-def pooled_floor(
-    plays: Sequence[Play], signals: Sequence[str], efforts: Sequence[int] = (), channel: str = ""
-) -> NoiseFloor:
-    """The noise floor of the plays' trials, the mean square over the plays.
+def floors(objective: Objective, plays: Sequence[Play], efforts: Sequence[int] = (), channel: str = "") -> Array:
+    """(n,) noise floor at each of an objective's samples.
 
     Efforts get one of their own: a servo reports them in steps of its full load and by a torque constant that is known
     to a few percent.
     """
-    floors = []
-    for play in plays:
-        trials = play.trials.select(signals)
+    scale = np.empty(len(objective.mean))
+    for number, play in enumerate(plays):
+        trials = play.trials.select(objective.signals)
         found = noise_floor(trials)
-        own = np.zeros(len(signals))
-        for i in efforts:
-            mean = mean_over_trials(trials.values[:, :, i])
-            calm = mean[steady(play, channel)]
-            size = float(np.sqrt(np.nanmean(calm**2))) if len(calm) else 0.0
-            own[i] = np.hypot(EFFORT_STEP * float(np.nanmax(np.abs(mean))), EFFORT_SHARE * size)
-        floors.append(replace(found, floor=np.hypot(found.floor, own)))
-    mean_of = {
-        name: np.sqrt(np.mean([getattr(f, name) ** 2 for f in floors], axis=0))
-        for name in ("repeat", "resolution", "floor")
-    }
-    return NoiseFloor(tuple(signals), **mean_of)
+        for i in range(len(objective.signals)):
+            mean = build_tunnel(trials).mean[:, i]
+            own = 0.0
+            if i in efforts:
+                calm = mean[steady(play, channel) & np.isfinite(mean)]
+                size = float(np.sqrt(np.mean(calm**2))) if len(calm) else 0.0
+                own = float(np.hypot(EFFORT_STEP * np.nanmax(np.abs(mean)), EFFORT_SHARE * size))
+            part = objective.blocks == number * len(objective.signals) + i
+            scale[part] = np.hypot(found.local[:, i], own)[np.isfinite(mean)]
+    return scale
 
 
 def kept_samples(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool_]:

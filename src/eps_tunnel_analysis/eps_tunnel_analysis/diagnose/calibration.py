@@ -20,7 +20,7 @@ class Calibration:
 
     gate: float = 1.2
     left_over: float = 0.04
-    clean: float = 0.6
+    clean: float = 0.85
     gain: float = 0.2
     gain_weight: float = 1.0
     none_width: float = 0.08

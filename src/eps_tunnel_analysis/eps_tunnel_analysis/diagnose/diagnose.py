@@ -32,6 +32,7 @@ from labyrinth_sim.trials import Array, Trials
 
 KS = (1.0, 2.0, 3.0, 5.0)
 SHORTEST = 0.05  # s, of a span outside the tunnel that is told
+FAR = 4.0  # times what may be left; further away a third effect is not looked for
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
 MOVES = 1e-3  # rad; a command that spans less excites nothing
@@ -110,7 +111,7 @@ def diagnose(
     """
     started = time.monotonic()
     parts = axis_parts(model, plays)
-    moved = [p for p in parts if _moved(model, p, plays)]
+    moved = [p for p in parts if is_moved(model, p, plays)]
     if not moved:
         raise InputError(
             "No recorded command moves an axis whose position is measured, so no effect can be seen. "
@@ -173,7 +174,7 @@ def _axis(
                 break
             best = _without_idle(search, more[0], refits, tried)
             refits += [r for r in more if set(r.effects) not in [set(o.effects) for o in refits]]
-            if best is not more[0]:
+            if best is not more[0] or best.overall > FAR * max(CALIBRATION.gate, CALIBRATION.left_over * base.overall):
                 break
     independent = _independent(search, min(refits, key=lambda r: r.overall) if refits else base)
     ranking, unknown = rank(base, refits, independent, tried)
@@ -231,7 +232,8 @@ def _fitted(axes: Sequence[AxisDiagnosis], named: set[str]) -> set[str]:
     return names
 
 
-def _moved(model: Model, part: AxisPart, plays: Sequence[Play]) -> bool:
+def is_moved(model: Model, part: AxisPart, plays: Sequence[Play]) -> bool:
+    """Whether a recorded command moves an axis."""
     channel = next(axis.command for axis in model.rig.axes if axis.name == part.axis)
     spans = [np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in (_commands(p, channel) for p in plays)]
     return max(spans) > MOVES

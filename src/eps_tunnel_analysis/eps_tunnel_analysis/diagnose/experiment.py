@@ -114,7 +114,9 @@ def next_experiment(axes: "Sequence[AxisDiagnosis]", model: Model, stated: Seque
         if len(rivals) < 2:
             continue
         commands = menu(model, axis.part.axis)
-        floors = {s: float(axis.search.scale[axis.search.signal == i][0]) for i, s in enumerate(axis.part.signals)}
+        floors = {
+            s: float(np.median(axis.search.scale[axis.search.signal == i])) for i, s in enumerate(axis.part.signals)
+        }
         table = np.array([r.values for r in rivals.values()])
         probabilities = np.array([axis.probabilities.get(" + ".join(sorted(e)) or NONE, 0.0) for e in rivals])
         for name, command in commands.items():

@@ -4,8 +4,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from labyrinth_sim.trials import Array, Trials, locked
+
+DRIFT = 0.3  # s over which deviations of trials are pooled to see them drift
+CHANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -16,17 +20,21 @@ class NoiseFloor:
         signals: m names.
         repeat: (m,) standard deviation of single trials about their mean, pooled over time.
         resolution: (m,) smallest difference between values that the sensor tells apart, 0 where it is fine.
-        floor: (m,) root of repeat^2 / p + resolution^2 / 12: the deviation of the mean from what was really there.
-            Rounding is not averaged away by trials that repeat well, so it counts in full.
+        floor: (m,) root of white^2 / p + resolution^2 / 12, white being the part of `repeat` that changes from sample
+            to sample: the deviation of the mean from what was really there. Rounding is not averaged away by trials
+            that repeat well, so it counts in full.
+        local: (T, m) the floor at each sample. Where trials drift apart for a while, as a load that floats in its
+            slack, their mean is no motion that any of them made, so what they differ by slowly counts in full too.
     """
 
     signals: tuple[str, ...]
     repeat: Array
     resolution: Array
     floor: Array
+    local: Array
 
     def __post_init__(self) -> None:
-        for name in ("repeat", "resolution", "floor"):
+        for name in ("repeat", "resolution", "floor", "local"):
             object.__setattr__(self, name, locked(getattr(self, name)))
 
 
@@ -43,17 +51,29 @@ def noise_floor(trials: Trials, raw: Trials | None = None) -> NoiseFloor:
     freedom = np.maximum(seen * (1.0 - 1.0 / trials.count), 1.0)
     repeat = np.sqrt(np.nansum(deviations**2, axis=(0, 1)) / freedom)
     steps = np.array([resolution((raw or trials).values[:, :, i]) for i in range(len(trials.signals))])
-    floor = np.sqrt(repeat**2 / trials.count + steps**2 / 12.0)
+    p = max(trials.count, 2)
+    jumps = np.diff(deviations, axis=1)
+    white = np.minimum(np.sqrt(0.5 * np.nan_to_num(_mean(jumps**2, (0, 1))) * p / (p - 1)), repeat)
     span = np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))
     # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
-    return NoiseFloor(trials.signals, repeat, steps, np.maximum(floor, 1e-7 * np.maximum(span, 1e-3)))
+    floor = np.maximum(np.sqrt(white**2 / trials.count + steps**2 / 12.0), 1e-7 * np.maximum(span, 1e-3))
+    spread = np.nan_to_num(_mean(deviations**2, 0)) * p / (p - 1)
+    width = max(1, round(DRIFT / trials.step)) if trials.step else 1
+    # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
+    slow = np.maximum(uniform_filter1d(spread, width, axis=0, mode="nearest") - CHANCE * white**2, 0.0)
+    return NoiseFloor(trials.signals, repeat, steps, floor, np.sqrt(floor**2 + slow))
+
+
+def _mean(values: Array, axis: int | tuple[int, ...]) -> Array:
+    """Mean of the seen values, NaN where there are none."""
+    seen = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(seen, values, 0.0).sum(axis=axis) / seen.sum(axis=axis))
 
 
 def mean_over_trials(values: Array) -> Array:
     """(p, T, ...) to (T, ...) over the trials that saw a sample; NaN where none did."""
-    seen = np.isfinite(values)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(seen, values, 0.0).sum(axis=0) / seen.sum(axis=0))
+    return _mean(values, 0)
 
 
 def resolution(values: Array, share: float = 0.2) -> float:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, starts
-from eps_tunnel_analysis.diagnose.noise import NoiseFloor
 from eps_tunnel_analysis.fit.lockstep import descend
 from eps_tunnel_analysis.fit.objective import Objective
 from labyrinth_sim.trials import Array
@@ -57,7 +56,7 @@ class Search:
     Args:
         objective: over the library's model and all of its names, at a coarse step.
         fine: the same at the rig's own step: refits are judged by it.
-        floor: for the objective's signals.
+        scale: (n,) the noise floor at each of the objective's samples.
         kept: (objective's samples,) not fitted; candidates are judged on them.
         used: (n,) which of the objective's samples are compared, R of them; None for all.
         told: called with the number of roll-outs so far.
@@ -68,7 +67,7 @@ class Search:
         library: Library,
         objective: Objective,
         fine: Objective,
-        floor: NoiseFloor,
+        scale: Array,
         kept: NDArray[np.bool_],
         used: NDArray[np.int64] | None = None,
         told: Callable[[int], None] | None = None,
@@ -82,7 +81,7 @@ class Search:
         self.start = np.array([infos[name].value for name in library.names])
         self.blocks = objective.blocks[self.used]
         self.signal = self.blocks % len(objective.signals)
-        self.scale = np.array([floor.floor[floor.signals.index(name)] for name in objective.signals])[self.signal]
+        self.scale = scale[self.used]
         self.shift = np.zeros(len(self.used))  # what the coarse step gets wrong, near where the search is
         self.evaluations = 0
         self.told = told
