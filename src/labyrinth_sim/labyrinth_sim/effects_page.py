@@ -60,10 +60,7 @@ def _section(effect: Effect) -> Iterator[str]:
 def _parameters(parameters: Sequence[Parameter]) -> str:
     return _table(
         ("parameter", "unit", "bounds", "off", "why these bounds"),
-        [
-            (p.name, p.unit, f"{p.low:g} to {p.high:g}", "-" if p.off is None else f"{p.off:g}", p.why)
-            for p in parameters
-        ],
+        [(p.name, p.unit, f"{p.low:g} to {p.high:g}", _off(p), p.why) for p in parameters],
     )
 
 
