@@ -40,14 +40,17 @@ def run(arguments: argparse.Namespace) -> None:
     recorded = load_with_efforts(arguments)
     steps: list[dict[str, Any]] = []
     with new_folder(arguments.out) as folder:
-        model = recorded.model
+        model, once = recorded.model, None
         for number in range(1, MOST_STEPS + 1):
             with progress() as told:
-                found = diagnose(model, recorded.plays, arguments.seed, arguments.candidates, arguments.threads, told)
+                found = diagnose(
+                    model, recorded.plays, arguments.seed, arguments.candidates, arguments.threads, told, once=once
+                )
             step = folder / f"step_{number}"
             step.mkdir()
             write_diagnosis(step, found, replace(recorded, model=model), arguments)
             v = found.verdict
+            once = once or {axis: before for axis, (before, _) in v.floor.items()}
             if not steps:
                 steps.append({"step": 0, "added": [], **_errors("as_given", v.to_json())})
                 steps.append({"step": 0, "added": ["refitted values"], **_errors("before", v.to_json())})

@@ -20,7 +20,7 @@ from eps_tunnel_analysis.diagnose.axis_search import (
 )
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
-from eps_tunnel_analysis.diagnose.gate import gate
+from eps_tunnel_analysis.diagnose.gate import allowed, gate
 from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, joint, penalty, rank
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
@@ -96,6 +96,7 @@ def diagnose(
     nthread: int = 0,
     told: Progress | None = None,
     experiments: bool = True,
+    once: Mapping[str, float] | None = None,
 ) -> Diagnosis:
     """Names what a model lacks.
 
@@ -104,6 +105,7 @@ def diagnose(
         plays: recorded commands with their trials.
         seed: kept with the result; nothing is drawn at random.
         only: names of effects to consider; the whole library by default.
+        once: axis -> mean square in units of the noise floor before effects were added in earlier steps.
         experiments: look for the experiment that decides, where the recordings do not.
 
     Raises:
@@ -117,7 +119,7 @@ def diagnose(
             "No recorded command moves an axis whose position is measured, so no effect can be seen. "
             "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
         )
-    axes = tuple(_axis(model, plays, part, only, nthread, told) for part in moved)
+    axes = tuple(_axis(model, plays, part, only, nthread, told, (once or {}).get(part.axis, 0.0)) for part in moved)
     probabilities = joint([axis.probabilities for axis in axes])
     kind, named, stated = decide(probabilities, CALIBRATION.coverage)
     base_model = _with(model, axes, {})
@@ -158,6 +160,7 @@ def _axis(
     only: Sequence[str] | None,
     nthread: int,
     told: Progress | None,
+    once: float,
 ) -> AxisDiagnosis:
     search = axis_search(
         model, plays, part, only, nthread=nthread, told=(lambda n: told(f"axis {part.axis}", n)) if told else None
@@ -165,19 +168,20 @@ def _axis(
     base = base_refit(search)
     tried = len(search.library.candidates)
     refits: list[Refit] = []
-    if base.overall > CALIBRATION.gate * CALIBRATION.clean and tried:
+    enough = allowed(max(base.overall, once))
+    if base.overall > allowed(once) * CALIBRATION.clean and tried:
         refits = next_refits(search, base)
         best = refits[0] if refits else base
-        while refits and best.overall > CALIBRATION.gate and len(best.effects) < MOST_EFFECTS:
+        while refits and best.overall > enough and len(best.effects) < MOST_EFFECTS:
             more = next_refits(search, best, PAIR_SHORTLIST)
             if not more or not _worth(more[0], best, search, tried):
                 break
             best = _without_idle(search, more[0], refits, tried)
             refits += [r for r in more if set(r.effects) not in [set(o.effects) for o in refits]]
-            if best is not more[0] or best.overall > FAR * max(CALIBRATION.gate, CALIBRATION.left_over * base.overall):
+            if best is not more[0] or best.overall > FAR * enough:
                 break
     independent = _independent(search, min(refits, key=lambda r: r.overall) if refits else base)
-    ranking, unknown = rank(base, refits, independent, tried)
+    ranking, unknown = rank(base, refits, independent, tried, once)
     probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
     return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities)
 

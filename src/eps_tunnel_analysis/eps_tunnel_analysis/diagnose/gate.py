@@ -49,18 +49,22 @@ def gate(residuals: Array, blocks: NDArray[np.int64], commands: Array) -> Gate:
     return Gate(cost, len(residuals) / (2.0 * lag + 1.0), correlation)
 
 
+def allowed(base: float) -> float:
+    """Mean square that may be left where the base leaves `base`: a strong effect is never matched to the last bit."""
+    return max(CALIBRATION.gate, CALIBRATION.left_over * base)
+
+
 def unexplained(cost: float, base: float) -> float:
-    """Probability that a model which leaves `cost`, where the base leaves `base`, still lacks something unknown.
+    """Probability that a model which leaves `cost`, where the base leaves `base`, still lacks something unknown."""
+    return _logistic(np.log(max(cost, 1e-12) / allowed(base)) / CALIBRATION.unknown_width)
 
-    A strong effect is never matched to the last bit, so what may be left grows with what was there.
+
+def complete(base: float, best: float, once: float = 0.0) -> float:
+    """Probability that the base lacks nothing, from what it leaves and what the best candidate would leave.
+
+    `once` is what was left before effects were added to it in earlier steps.
     """
-    allowed = max(CALIBRATION.gate, CALIBRATION.left_over * base)
-    return _logistic(np.log(max(cost, 1e-12) / allowed) / CALIBRATION.unknown_width)
-
-
-def complete(base: float, best: float) -> float:
-    """Probability that the base lacks nothing, from what it leaves and what the best candidate would leave."""
-    level = np.log(max(base, 1e-12) / CALIBRATION.gate)
+    level = np.log(max(base, 1e-12) / allowed(once))
     gain = np.log(max(base, 1e-12) / max(best, 1e-12))
     return _logistic(-(level + CALIBRATION.gain_weight * (gain - CALIBRATION.gain)) / CALIBRATION.none_width)
 

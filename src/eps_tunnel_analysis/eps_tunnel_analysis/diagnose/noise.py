@@ -94,4 +94,7 @@ def resolution(values: Array, share: float = 0.2) -> float:
     spread = float(edges[1] - edges[0])
     if tick < 5 * spread or len(near) < share * len(changes):
         return 0.0
+    for part in (4, 3, 2):  # a fast signal takes several ticks at a time
+        if np.mean(np.abs(changes - tick / part) < spread) > 0.5 * share:
+            return tick / part
     return tick

@@ -56,7 +56,9 @@ def penalty(own_values: int, effects: int, independent: float, tried: int) -> fl
     return 0.5 * own_values * np.log(max(independent, 2.0)) + effects * np.log(max(tried, 1))
 
 
-def rank(base: Refit, refits: Sequence[Refit], independent: float, tried: int) -> tuple[list[Ranked], float]:
+def rank(
+    base: Refit, refits: Sequence[Refit], independent: float, tried: int, once: float = 0.0
+) -> tuple[list[Ranked], float]:
     """Probabilities of the base alone, of every refit, and of something unknown.
 
     Args:
@@ -64,6 +66,7 @@ def rank(base: Refit, refits: Sequence[Refit], independent: float, tried: int) -
         refits: sets of effects on top; nested or not, in any order.
         independent: samples that the residuals are worth.
         tried: number of candidates.
+        once: overall cost before effects were added to the base in earlier steps.
 
     Returns:
         The ranking, most probable first, the base among it; and the probability of something unknown.
@@ -73,11 +76,13 @@ def rank(base: Refit, refits: Sequence[Refit], independent: float, tried: int) -
         pays = penalty(refit.free - base.free, len(refit.effects), independent, tried)
         found.append((refit, pays, -0.5 * independent * np.log(max(_judged(refit), 1e-12)) - pays))
     best = min((_judged(r) for r in refits), default=np.inf)
-    none = complete(_judged(base), best) if refits else 1.0
+    none = complete(_judged(base), best, once) if refits else 1.0
     scores = np.array([score for _, _, score in found])
     shares = np.exp((scores - scores.max()) / CALIBRATION.temperature) if len(scores) else scores
     shares = shares / shares.sum() if len(scores) else shares
-    lacking = float(sum(s * unexplained(_judged(r), _judged(base)) for s, (r, _, _) in zip(shares, found, strict=True)))
+    lacking = float(
+        sum(s * unexplained(_judged(r), max(_judged(base), once)) for s, (r, _, _) in zip(shares, found, strict=True))
+    )
     ranked = [
         Ranked(
             refit.effects,

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From an emulated rig with something wrong to its name; the rig's physics shares no line with the effects."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from eps_tunnel_analysis.cli.main import main
+from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.sequence import Command
+from eps_tunnel_analysis.sequence_file import parse_sequence
+from labyrinth_hw.testbed.bags import write_bag
+from labyrinth_hw.testbed.hidden import hide, load_testbed
+from labyrinth_hw.testbed.offline import Run, run_offline
+from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.trials import Trials
+
+SHORT = """
+initial_deg: {motor_x: 0, motor_y: 0}
+command:
+  motor_x:
+    - hold: {lasts_s: 0.2}
+    - step: {to_deg: 3, lasts_s: 0.5}
+    - step: {to_deg: -3, lasts_s: 0.5}
+    - ramp: {to_deg: 1, lasts_s: 0.8}
+    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
+    - step: {to_deg: 0, lasts_s: 0.4}
+  motor_y:
+    - hold: {lasts_s: 4.0}
+"""
+SIGNALS = ("motor_x", "board_x", "motor_x_effort")
+FEW = ("gravity_load", "return_spring", "coulomb_friction", "sensor_bias", "positioning_error", "sensor_delay")
+
+
+def command() -> Command:
+    return parse_sequence(yaml.safe_load(SHORT), "short", "short").commands[0]
+
+
+def recorded(*effects: str, seed: int = 0) -> Run:
+    rig = load_testbed("healthy")
+    reality = rig.reality
+    for effect in effects:
+        reality = hide(effect, "x", "strong").applied(reality)
+    time, targets = command().sample(100.0)
+    return run_offline(replace(rig, reality=reality), time, targets, 3, seed)
+
+
+def as_play(run: Run) -> Play:
+    time, targets = command().sample(100.0)
+    raw = (run.motor, run.board, run.effort)
+    values = np.stack([[np.interp(time, run.stamps[i], part[i, :, 0]) for part in raw] for i in range(3)])
+    trials = Trials(time, SIGNALS, ("rad", "rad", "N m"), values.swapaxes(1, 2), ("motor_x", "motor_y"),
+                    np.tile(targets, (3, 1, 1)))  # fmt: skip
+    return Play("short", trials)
+
+
+def wrong_model() -> Model:
+    return load_model("labyrinth_manual").with_values({"drive.x.p": 16.0, "drive.x.delay": 0.04})
+
+
+def diagnosed(*effects: str, seed: int = 0) -> Diagnosis:
+    return diagnose(wrong_model(), [as_play(recorded(*effects, seed=seed))], only=FEW)
+
+
+def test_a_rig_without_anything_wrong_is_called_complete() -> None:
+    v = diagnosed().verdict
+    assert (v.verdict, v.effects) == ("complete", ())
+
+
+@pytest.mark.parametrize("effect", ["gravity_load", "coulomb_friction"])
+def test_a_strong_effect_is_named_and_its_error_falls(effect: str) -> None:
+    v = diagnosed(effect).verdict
+    assert (v.verdict, v.effects) == ("effect", (f"{effect}.x",))
+    assert sum(v.set.values()) == pytest.approx(1.0)
+    assert v.after.held_out < 0.5 * v.before.held_out
+    assert v.after.alikeness > v.before.alikeness
+
+
+def test_cogging_which_no_effect_describes_is_called_unknown() -> None:
+    v = diagnosed("cogging").verdict
+    assert v.verdict == "unknown"
+    assert v.effects == ()
+
+
+def test_the_same_recordings_give_the_same_verdict_bit_for_bit() -> None:
+    play = as_play(recorded("gravity_load"))
+    one, other = (
+        diagnose(wrong_model(), [play], only=["gravity_load", "return_spring"], nthread=n).verdict for n in (1, 2)
+    )
+    assert dict(one.set) == dict(other.set)
+    assert dict(one.values) == dict(other.values)
+
+
+def test_the_commands_write_what_they_promise(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", recorded("gravity_load"), "short", command().hash)
+    reading = ["--real", str(bag), "--model", "labyrinth_manual"]
+    few = ["--candidates", "gravity_load", "return_spring"]
+    assert main(["diagnose", *reading, *few, "--out", str(tmp_path / "why")]) == 0
+    content = json.loads((tmp_path / "why" / "diagnosis.json").read_text())
+    promised = "verdict effects set coverage where error_before error_after held_out_before held_out_after "
+    promised += "alikeness_before alikeness_after next_experiment seed evaluations seconds"
+    assert set(promised.split()) <= set(content)
+    assert content["effects"] == ["gravity_load.x"]
+    page = (tmp_path / "why" / "report.html").read_text()
+    assert "gravity load" in page and "add-effect gravity_load.x" in page
+    assert main(["add-effect", "gravity_load.x", *reading, "--out", str(tmp_path / "m2.yaml")]) == 0
+    assert [u.effect.name for u in load_model(tmp_path / "m2.yaml").effects] == ["gravity_load"]
+    assert main(["diagnose", *reading, "--out", str(tmp_path / "why")]) == 2  # never overwritten
+
+
+def test_improve_stops_by_itself_and_each_effect_lowers_the_error(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", recorded("gravity_load"), "short", command().hash)
+    few = ["--candidates", "gravity_load", "return_spring"]
+    out = tmp_path / "better"
+    assert main(["improve", "--real", str(bag), "--model", "labyrinth_manual", *few, "--out", str(out)]) == 0
+    stairs = json.loads((out / "staircase.json").read_text())
+    assert stairs["verdict"] == "complete"
+    held = [step["held_out"] for step in stairs["steps"]]
+    assert held[1:] == sorted(held[1:], reverse=True)
+    assert held[-1] < 0.2 * held[0]
+    assert (out / "step_1" / "model.yaml").exists()
+
+
+def test_a_command_that_excites_nothing_is_told() -> None:
+    play = as_play(recorded())
+    still = replace(play.trials, commands=np.zeros_like(play.trials.commands))
+    with pytest.raises(ValueError, match="excite"):
+        diagnose(wrong_model(), [Play("still", still)])
+
+
+def test_one_trial_is_diagnosed_with_a_warning() -> None:
+    play = as_play(recorded())
+    single = replace(play.trials, values=play.trials.values[:1], commands=play.trials.commands[:1])
+    v = diagnose(wrong_model(), [Play("one", single)], only=["gravity_load"]).verdict
+    assert any("One trial" in note for note in v.notes)
