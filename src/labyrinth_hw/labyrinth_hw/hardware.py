@@ -74,9 +74,16 @@ class Hardware:
         self._supply = False
         self._retry_at = {"servos": 0.0, "sensors": 0.0}
 
-    def connect(self) -> None:
-        """Open both lines. Raises HardwareError."""
-        self._connect_servos()
+    def connect(self, tries: int = 4) -> None:
+        """Open both lines; servos that just got power, or a busy machine, may need some tries. Raises HardwareError."""
+        for left in reversed(range(tries)):
+            try:
+                self._connect_servos()
+                break
+            except BusError:
+                if not left:
+                    raise
+                time.sleep(RECONNECT_EVERY)
         if self.sensors is not None:
             self.sensors.connect()
             self.sensors_connected = True

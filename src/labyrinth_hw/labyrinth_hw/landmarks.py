@@ -12,6 +12,7 @@ from itertools import combinations, product
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from labyrinth_hw.camera import Array, Frame, Intrinsics, locked
 from labyrinth_hw.dots import SLOTS, DotFinder, DotPlan, counter_clockwise
@@ -80,7 +81,10 @@ class LandmarkTracker:
             be up to about 40 degrees.
         gate: px that a dot may jump between frames.
         suspect: px of residual above which it is tried whether one dot lies.
-        tolerance: px of residual above which a fit is not believed.
+        tolerance: px of residual above which a fit to all dots is not believed; less with fewer dots to check it.
+        vague: rad of tilt per px of error in the dots above which a fit is not believed: two dots of the board on one
+            diagonal do not tell the turn about it.
+        lost: frames so far in which no pose was believed.
     """
 
     plan: DotPlan
@@ -90,10 +94,12 @@ class LandmarkTracker:
     gate: float = 9.0
     suspect: float = 0.35
     tolerance: float = 1.0
+    vague: float = 0.04
     last: BoardPose | None = None
+    lost: int = 0
 
     def update(self, frame: Frame) -> BoardPose | None:
-        """The pose in this frame; None where too few dots are seen. Raises InputError for a frame of another size."""
+        """The pose in this frame; None where the dots leave it open. Raises InputError for a frame of another size."""
         if frame.ndim != 3 or frame.shape[:2] != (self.intrinsics.height, self.intrinsics.width):
             wanted = f"({self.intrinsics.height}, {self.intrinsics.width}, 3)"
             raise InputError(f"Expected a frame of shape {wanted} as the intrinsics say, got {frame.shape}.")
@@ -101,21 +107,57 @@ class LandmarkTracker:
         pose = self._follow(found, self.last) if self.last is not None else None
         if pose is None:
             pose = self._acquire(found, doubtful)
-        if pose is not None:
+        if pose is None:
+            self.lost += 1
+        else:
             self.last = pose
         return pose
 
     def _follow(self, found: Array, last: BoardPose) -> BoardPose | None:
-        values = np.concatenate([last.camera, last.tilt])
-        dots = self._match(found, self._predict(values), self.gate)
-        pose = self._fit(values, dots)
-        if pose is None or pose.residual <= self.suspect:
-            return pose
-        return self._refit(pose)
+        """From the last tilt; from tilts all over the range where that leaves whole dots unexplained."""
+        pose = self._settle(found, np.concatenate([last.camera, last.tilt]))
+        if pose is not None and len(pose.seen) >= min(len(found), 8) and pose.residual <= self.suspect:
+            return pose if self._sure(pose) else None
+        angles = np.linspace(-0.12, 0.12, 5)
+        starts = [np.concatenate([last.camera, tilt]) for tilt in product(angles, angles)]
+        poses = [pose, *(self._settle(found, start) for start in starts)]
+        sure = [p for p in (self._refit(p) for p in poses if p is not None) if p is not None]
+        return min(sure, key=lambda p: (-len(p.seen), p.residual), default=None)
+
+    def _settle(self, found: Array, start: Array) -> BoardPose | None:
+        """Match and fit in turn: a fit to some of the dots brings the others within reach."""
+        pose = None
+        for gate in (self.gate, self.gate, self.gate / 2):
+            pose = self._fit(start, self._match(found, self._predict(start), gate))
+            if pose is None:
+                return None
+            start = np.concatenate([pose.camera, pose.tilt])
+        return pose
+
+    def _sure(self, pose: BoardPose) -> bool:
+        """Whether the dots tell the tilt, and enough of them are left over to check it."""
+        seen = np.isfinite(pose.dots[:, 0])
+        free = self._free(seen)
+        slope = self._project(np.concatenate([pose.camera, pose.tilt]))[1][seen][:, :, free]
+        numbers = slope.shape[2]
+        _, strength, ways = np.linalg.svd(slope.reshape(-1, numbers), full_matrices=False)
+        if 2 * seen.sum() <= numbers or strength[-1] < 1e-9:
+            return False
+        spread = np.linalg.norm(ways[:, -2:] / strength[:, None])  # of the tilt, rad per px
+        spare = 2 * int(seen.sum()) - 8 if numbers == 8 else 2 * int(seen[:4].sum()) - 2
+        return bool(spread <= self.vague and pose.residual <= self.tolerance * min(1.0, spare / 8))
+
+    @staticmethod
+    def _free(seen: NDArray[np.bool_]) -> slice:
+        """All eight numbers; the tilt alone where the box's dots are too few."""
+        box, every = seen[4:].sum(), seen.sum()
+        return slice(0, 8) if box >= 3 or (every >= 6 and box >= 2) else slice(6, 8)
 
     def _refit(self, pose: BoardPose) -> BoardPose | None:
         """Without the worst dot, at most two of them: one half covered or fused with another pulls the fit."""
         for _ in range(2):
+            if pose.residual <= self.suspect:
+                break
             values = np.concatenate([pose.camera, pose.tilt])
             dots = np.array(pose.dots)
             if np.isfinite(dots[:, 0]).sum() < 6:
@@ -125,9 +167,7 @@ class LandmarkTracker:
             if better is None or better.residual > pose.residual / 2:
                 break
             pose = better
-            if pose.residual <= self.suspect:
-                break
-        return pose if pose.residual <= self.tolerance else None
+        return pose if self._sure(pose) else None
 
     def _acquire(self, found: Array, doubtful: Array) -> BoardPose | None:
         """Tries every four blobs as every choice of one dot per corner; the pose that explains most whole dots wins."""
@@ -156,9 +196,7 @@ class LandmarkTracker:
                     continue
                 if (-count, pose.residual) < (-best[0], best[1]):
                     best, winner = (count, pose.residual), pose
-        if winner is not None and winner.residual > self.suspect:
-            return self._refit(winner)
-        return winner
+        return self._refit(winner) if winner is not None else None
 
     def _start(self, points: Array, pixels: Array) -> Array | None:
         """(8,) first guess: the box's pose were the board level; None where it looks from beside or below."""
@@ -205,13 +243,9 @@ class LandmarkTracker:
         seen = np.isfinite(dots[:, 0])
         if seen[:4].sum() < 2:
             return None
-        free = slice(0, 8)
-        if seen[4:].sum() < 3 and not (seen.sum() >= 6 and seen[4:].sum() >= 2):
-            if not known_camera:
-                if seen.sum() < 5:
-                    return None
-            else:
-                free = slice(6, 8)
+        free = self._free(seen) if known_camera else slice(0, 8)
+        if not known_camera and seen.sum() < 5:
+            return None
         values = np.array(start, float)
         for _ in range(8):
             expected, slope = self._project(values)
