@@ -16,6 +16,7 @@ from labyrinth_hw.errors import InputError
 from labyrinth_hw.hardware import Hardware
 from labyrinth_hw.nodes.calibrate_motors import as_yaml, calibrate
 from labyrinth_hw.safety import Command
+from labyrinth_hw.sensors import Slope
 from labyrinth_hw.settings import load_hardware
 from labyrinth_hw.testbed.live import LiveTestbed
 from labyrinth_hw.testbed.parameters import HEALTHY
@@ -121,3 +122,13 @@ def test_a_map_survives_its_file() -> None:
 def test_bad_maps_are_refused(entry: dict, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         compensation_from("motor_x", entry)
+
+
+def test_the_board_s_speed_is_that_of_now_and_needs_a_full_window() -> None:
+    """A parabola's end slope is met exactly, at uneven times too."""
+    slope, rng = Slope(), np.random.default_rng(2)
+    times = np.cumsum(rng.uniform(0.008, 0.012, 7))
+    told = [slope.add(t, 0.1 + 0.2 * t + 3.0 * t**2, -0.5 * t) for t in times]
+    assert all(np.isnan(speed) for speeds in told[:-1] for speed in speeds)
+    assert told[-1] == pytest.approx((0.2 + 6.0 * times[-1], -0.5))
+    assert np.isnan(slope.add(times[-1] + 1.0, 0.0, 0.0)[0]), "old samples are forgotten"
