@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fit_cases import FREE, TRUTH, plays, start
+from fit_cases import FREE, TRUTH, made_by, plays, start, step
 
 from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.cluster import cluster
 from eps_tunnel_analysis.fit.es import EvolutionStrategy
 from eps_tunnel_analysis.fit.free import by_axis, default_free, free_parameters
 from eps_tunnel_analysis.fit.hold_out import hold_out
+from eps_tunnel_analysis.fit.judge import judge
 from eps_tunnel_analysis.fit.objective import Objective
 from eps_tunnel_analysis.fit.study import calibrate_model
 from eps_tunnel_analysis.plays import Play
@@ -173,3 +174,34 @@ def test_a_scheduler_that_is_not_there_is_told() -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="nobody answers"), cluster("tcp://127.0.0.1:9", timeout=0.5):
         pass
+
+
+def unevenly_repeated() -> list[Play]:
+    """A rig that answers large steps late and never twice alike, small ones always alike."""
+    delays = {5.0: (0.026, 0.034, 0.046, 0.048, 0.049), 1.0: (0.030,) * 5}
+    recorded = []
+    for degrees, each in delays.items():
+        runs = [
+            made_by(start().with_values({**TRUTH, "drive.x.delay": d}), step(degrees), trials=1, seed=i)
+            for i, d in enumerate(each)
+        ]
+        values = np.concatenate([run.values for run in runs])
+        commands = np.concatenate([run.commands for run in runs])
+        recorded.append(Play(f"{degrees:g}deg", replace(runs[0], values=values, commands=commands)))
+    return recorded
+
+
+def test_the_alikeness_is_the_better_target_where_the_rig_repeats_itself_unevenly() -> None:
+    recorded = unevenly_repeated()
+    scores, values = {}, {}
+    for fitness in ("error", "srg"):
+        free = ("drive.x.p", "drive.x.delay")
+        fit = calibrate(start(), free, recorded, Settings(fitness=fitness, signals=SIGNALS))
+        (scores[fitness],) = judge(start().with_values(fit.values), recorded, SIGNALS)
+        values[fitness] = fit.values
+    # The large steps' errors are the larger ones, so the error follows them; their tunnel is wide, so the alikeness
+    # need not.
+    assert abs(values["srg"]["drive.x.delay"] - 0.030) < abs(values["error"]["drive.x.delay"] - 0.030)
+    assert scores["srg"].error > scores["error"].error
+    for k in (1.0, 2.0, 3.0):
+        assert scores["srg"].alikeness[k] > scores["error"].alikeness[k]

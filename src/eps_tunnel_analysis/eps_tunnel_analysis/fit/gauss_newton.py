@@ -79,13 +79,19 @@ class GaussNewton:
                 known[z.tobytes()] = scaled[0], ((scaled[1:] - scaled[0]) / h[:, None]).T
             return known[z.tobytes()]
 
+        def residuals(z: Array) -> Array:
+            return look(z)[0]
+
+        def jacobian(z: Array) -> Array:
+            return look(z)[1]
+
         first = np.clip(start, 1e-9, 1.0 - 1e-9)
         scale = 0.1 * float(np.sqrt(np.mean(look(first)[0] ** 2))) or 1.0
         with suppress(_Enough):
             least_squares(
-                lambda z: look(z)[0],
+                residuals,
                 first,
-                jac=lambda z: look(z)[1],
+                jac=jacobian,
                 bounds=(0.0, 1.0),
                 loss=loss,
                 f_scale=scale,
