@@ -41,7 +41,6 @@ from labyrinth_sim.trials import Array, Trials
 
 RATE = 100.0  # Hz
 ROTATION_S = 1.0  # t_total of equation 10: the longest rotation of the rig is over after 0.6 s
-TORQUE_NOISE = 0.05  # N m on the board; see --torque-noise
 REST_S = 1.0  # since the last step of the command; then the rig stands still
 POSITIONS = ["motor_x", "motor_y", "board_x", "board_y"]
 PAPER_1 = {
@@ -78,17 +77,16 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="20 generations, every other angle, 5 trials")
     parser.add_argument("--seed", type=int, default=0, help="of the rig's noise and of the strategy (default: 0)")
     parser.add_argument("--rig", default="paper", help="emulated rig: a name in config/testbed or a file")
-    parser.add_argument("--torque-noise", type=float, default=TORQUE_NOISE, metavar="NM",
-                        help="random torque on the board, N m. It decides how well the rig repeats where it stops. "
-                        "The paper's Table 2 has the real phi_X stop 2 to 5 half-widths of its tunnel short of the "
-                        "target; the quiet rig of the file (0.004) 15, this one 3 to 4 (default: %(default)g)"
-                        )  # fmt: skip
+    parser.add_argument("--torque-noise", type=float, metavar="NM",
+                        help="random torque on the board, N m, instead of the rig's own; it decides how well the rig "
+                        "repeats where it stops, and so how wide its tunnel is at rest")  # fmt: skip
     parser.add_argument("--out", type=Path, help="new folder for bags, tables, figures (default: out/paper-N)")
     options = parser.parse_args()
     out = options.out or next(p for n in range(1, 10_000) if not (p := Path("out") / f"paper-{n}").exists())
     out.mkdir(parents=True)
     testbed = load_testbed(options.rig)
-    testbed = replace(testbed, reality=testbed.reality.with_values({"torque_noise": options.torque_noise}))
+    if options.torque_noise is not None:
+        testbed = replace(testbed, reality=testbed.reality.with_values({"torque_noise": options.torque_noise}))
     trials, every, generations = (5, 2, 20) if options.quick else (20, 1, 150)
 
     rotations = {
