@@ -8,7 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, load_with_efforts
+from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, load_with_efforts, progress
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
 from eps_tunnel_analysis.cli.tables import console, table
 from labyrinth_sim.errors import InputError
@@ -39,7 +39,8 @@ def run(arguments: argparse.Namespace) -> None:
     if out.exists():
         raise InputError(f"--out {out}: exists already and is never overwritten. Name another.")
     recorded = load_with_efforts(arguments)
-    added = add_effects(recorded.model, recorded.plays, arguments.names, arguments.threads)
+    with progress(arguments.progress) as told:
+        added = add_effects(recorded.model, recorded.plays, arguments.names, arguments.threads, told)
     content = added.to_json()
     model = replace(
         added.model,

@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     refuse_existing(arguments.out)
     recorded = load_with_efforts(arguments)
-    with progress() as told:
+    with progress(arguments.progress) as told:
         found = diagnose(recorded.model, recorded.plays, arguments.seed, arguments.candidates, arguments.threads, told)
     with new_folder(arguments.out) as folder:
         write_diagnosis(folder, found, recorded, arguments)

@@ -5,6 +5,7 @@ import argparse
 import json
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -20,11 +21,16 @@ from labyrinth_sim.errors import InputError
 if TYPE_CHECKING:
     from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
 
+LINE_EVERY = 0.2
+"""s between two lines of progress"""
+
 
 def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
-    """--seed, --threads."""
+    """--seed, --threads, --progress."""
     parser.add_argument("--seed", type=int, default=0, help="kept with the result (default: %(default)s)")
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="of this machine (default: all)")
+    parser.add_argument("--progress", choices=("bar", "lines"), default="bar",
+                        help="on stderr: a bar, or lines of JSON for programs (default: %(default)s)")  # fmt: skip
 
 
 def load_with_efforts(arguments: argparse.Namespace) -> Recorded:
@@ -44,9 +50,12 @@ def load_with_efforts(arguments: argparse.Namespace) -> Recorded:
 
 
 @contextmanager
-def progress(shown: bool = True) -> Iterator[Callable[[str, int], None] | None]:
-    """A bar on stderr that counts roll-outs."""
-    if not shown or not sys.stderr.isatty():
+def progress(kind: str = "bar") -> Iterator[Callable[[str, int], None] | None]:
+    """Counts roll-outs on stderr: by a "bar" where that is a terminal, or by "lines", one JSON object each."""
+    if kind == "lines":
+        yield _lines()
+        return
+    if not sys.stderr.isatty():
         yield None
         return
     with tqdm(desc="roll-outs", unit="", file=sys.stderr, dynamic_ncols=True) as bar:
@@ -58,6 +67,18 @@ def progress(shown: bool = True) -> Iterator[Callable[[str, int], None] | None]:
             bar.update(count - bar.n)
 
         yield told
+
+
+def _lines() -> Callable[[str, int], None]:
+    last = 0.0
+
+    def told(what: str, count: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= LINE_EVERY:
+            last = time.monotonic()
+            print(json.dumps({"doing": what, "rollouts": count}), file=sys.stderr, flush=True)
+
+    return told
 
 
 def add_command(arguments: argparse.Namespace, effects: Sequence[str]) -> str:

@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
     with new_folder(arguments.out) as folder:
         model, once = recorded.model, None
         for number in range(1, MOST_STEPS + 1):
-            with progress() as told:
+            with progress(arguments.progress) as told:
                 found = diagnose(
                     model, recorded.plays, arguments.seed, arguments.candidates, arguments.threads, told, once=once
                 )

@@ -3,11 +3,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_search, base_refit
 from eps_tunnel_analysis.diagnose.candidates import Candidate
-from eps_tunnel_analysis.diagnose.diagnose import compared, errors_of, is_moved
+from eps_tunnel_analysis.diagnose.diagnose import Progress, compared, errors_of, is_moved
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.verdict import Errors
 from eps_tunnel_analysis.plays import Play
@@ -52,8 +53,13 @@ class Addition:
         }
 
 
-def add_effects(model: Model, plays: Sequence[Play], names: Sequence[str], nthread: int = 0) -> Addition:
+def add_effects(
+    model: Model, plays: Sequence[Play], names: Sequence[str], nthread: int = 0, told: Progress | None = None
+) -> Addition:
     """Adds effects by name (`backlash.x`), those of one axis fitted together.
+
+    Args:
+        told: what is being done and how many roll-outs were made.
 
     Raises:
         InputError: unknown names or places, or an axis that was not measured.
@@ -66,7 +72,8 @@ def add_effects(model: Model, plays: Sequence[Play], names: Sequence[str], nthre
     values: dict[str, float] = {}
     left = list(dict.fromkeys(names))
     for part in (p for p in axis_parts(model, plays) if is_moved(model, p, plays)):
-        search = axis_search(model, plays, part, only=[n.partition(".")[0] for n in names], nthread=nthread)
+        count = partial(told, f"axis {part.axis}") if told else None
+        search = axis_search(model, plays, part, only=[n.partition(".")[0] for n in names], nthread=nthread, told=count)
         mine = [c for c in search.library.candidates if c.name in left]
         left = [n for n in left if n not in [c.name for c in mine]]
         base = base_refit(search)
