@@ -101,7 +101,7 @@ class _Trial:
         self.values = np.full((len(self.time), len(signals)), np.nan)
         self.ended = False
         # Only streams that were there at the start are waited for.
-        self._streams = {key: stream for key, stream in streams.items() if stream.newest > mark.stamp - SECOND // 2}
+        self._streams = {key: stream for key, stream in streams.items() if stream.newest > mark.stamp - SECOND}
         for stream in streams.values():
             samples = list(stream.recent)
             for before, now in zip([None, *samples[:-1]], samples, strict=True):
@@ -222,6 +222,14 @@ class LiveGap:
         """The running trial was given up and does not count."""
         if self._running.pop(side, None) is not None and self._current is not None:
             self._judge_all(self._current)
+
+    def forget(self, side: str) -> None:
+        """Drops every trial of a side that is another one now, as a simulation is after its model was replaced."""
+        self._running.pop(side, None)
+        self._started.discard(side)
+        for command in self._commands.values():
+            command.finished[side].clear()
+            self._judge_all(command)
 
     def finish(self, side: str) -> None:
         """Closes a trial that has ended, whether or not all of its samples came. Does nothing to one still running."""

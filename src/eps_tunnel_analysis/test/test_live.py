@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from eps_tunnel_analysis.compare import compare
@@ -75,16 +75,19 @@ def feed(gap: LiveGap, run: Played) -> list[int]:
 
 
 def offline(run: Played, smoothed: bool) -> Figures:
-    none = np.empty((run.trials["real"].shape[0], len(TIME), 0))
-    sides = [Trials(TIME, SIGNALS, ("rad", "rad"), run.trials[side], (), none) for side in ("real", "sim")]
+    sides = [
+        Trials(TIME, SIGNALS, ("rad", "rad"), values, (), np.empty((len(values), len(TIME), 0)))
+        for values in (run.trials["real"], run.trials["sim"])
+    ]
     result = compare(*sides, smoothed=smoothed)
     shares = np.array([[a.shares[name] for a in result.alikeness] for name in SIGNALS])
     joint = np.array([a.joint for a in result.alikeness])
-    return Figures("some", SIGNALS, tuple(a.k_real for a in result.alikeness), shares, joint, 0, len(none), True)
+    return Figures("some", SIGNALS, tuple(a.k_real for a in result.alikeness), shares, joint, 0, sides[0].count, True)
 
 
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.floats(0, 0.9), st.booleans(), st.booleans())
+@example(0, 3, 0.75, False, False)
 def test_at_the_end_the_live_figures_are_those_of_the_whole_trials(
     seed: int, count: int, delay: float, hole: bool, smoothed: bool
 ) -> None:
@@ -150,6 +153,20 @@ def test_a_trial_without_end_is_left_out_when_the_next_begins() -> None:
     kept = {side: values[[0, 2]] for side, values in run.trials.items()}
     assert live is not None
     assert live.trials == 2
+    np.testing.assert_array_equal(live.shares, offline(Played([], kept), True).shares)
+
+
+def test_a_simulation_with_another_model_is_judged_by_its_own_trials() -> None:
+    run, gap = played(5, 3, 0.0), LiveGap()
+    new = next(i for i, m in enumerate(run.messages) if m[3] > 13.5 * SECOND)
+    feed(gap, Played(run.messages[:new], run.trials))
+    gap.forget("sim")
+    assert gap.figures() is None
+    feed(gap, Played(run.messages[new:], run.trials))
+    live = gap.figures()
+    kept = {"real": run.trials["real"], "sim": run.trials["sim"][2:]}
+    assert live is not None
+    assert live.trials == 3
     np.testing.assert_array_equal(live.shares, offline(Played([], kept), True).shares)
 
 

@@ -27,6 +27,7 @@ from labyrinth_sim.errors import InputError
 PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTED: "aborted"}
 FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
 UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
+MODEL_KEYS = ("model", "model file", "models loaded")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -65,6 +66,7 @@ class AnalysisNode(TunnelNode):
         # With a told clock, of a replay say, this machine's own says nothing on how late a message came.
         self._clock_told = bool(self.get_parameter("use_sim_time").value)
         self._stamp, self._told_trials = 0, -1
+        self._model: tuple[str, ...] | None = None
         self._recorder = Recorder(self, SIDES, self._received, images)
         overridable = {"qos_overriding_options": QoSOverridingOptions.with_default_policies()}
         self._srg = self.create_publisher(Srg, "/srg", 10, **overridable)
@@ -198,11 +200,19 @@ class AnalysisNode(TunnelNode):
         return response
 
     def _note_models(self, message: DiagnosticArray) -> None:
-        """The simulation tells its model in its diagnostics; the bag's metadata should name it."""
+        """The simulation tells its model in its diagnostics: bags name it, and trials of another one no longer count."""
         for status in message.status:
-            for entry in status.values:
-                if entry.key == "model" and status.name.startswith("sim_node"):
-                    self._recorder.models["sim"] = entry.value
+            told = {entry.key: entry.value for entry in status.values}
+            if status.name.startswith("sim_node") and "model" in told:
+                self._recorder.models["sim"] = told["model"]
+                model = tuple(told.get(key, "") for key in MODEL_KEYS)
+                if self._model is not None and model != self._model:
+                    self._gap.forget("sim")
+                    self._told_trials = -1
+                    self.get_logger().info(
+                        f"The simulation runs '{told['model']}' now; its earlier trials are left out."
+                    )
+                self._model = model
 
     def _tell_health(self) -> None:
         self._recorder.look()

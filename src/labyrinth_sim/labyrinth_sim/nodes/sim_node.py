@@ -50,6 +50,7 @@ class SimNode(Node):
         self._noise = float(self.get_parameter("noise").value)
         self._random = np.random.default_rng(int(self.get_parameter("seed").value))
         self._rate = rate
+        self._loaded = 0
         self._model: Model
         self._stepper: Stepper
         self._use(load_model(str(self.get_parameter("model").value)))
@@ -219,6 +220,8 @@ class SimNode(Node):
             self._use(load_model(name), keep_pose=True)
         except InputError as error:
             return False, f"{error} '{self._model.name}' goes on."
+        self._loaded += 1
+        self._report()  # whoever compares should know before the next trial
         text = f"Simulates '{self._model.name}' now."
         self.get_logger().info(text)
         return True, text
@@ -241,6 +244,8 @@ class SimNode(Node):
         )
         numbers = {
             "model": self._model.name,
+            "model file": self._model.path or "",
+            "models loaded": self._loaded,
             "samples": self._done,
             "samples skipped": self._late,
             "commands refused": self._refused,
