@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
-from labyrinth_sim.effect import Drive, Effect
+from labyrinth_sim.effect import Drive, Effect, Values
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.parts import PLAIN
 from labyrinth_sim.rig import Rig
@@ -29,6 +31,11 @@ class Placed:
     effect: Effect
     prefix: str
     site: Site
+
+    def acts(self, values: Values) -> NDArray[np.bool_]:
+        """(nsim,) whether any value, full parameter name -> (nsim,), is not the one at which it vanishes."""
+        switches = [p for p in self.effect.parameters if p.off is not None]
+        return np.any([values[self.prefix + p.name] != p.off for p in switches], axis=0)
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,9 @@ class Engine:
         self.fields["opt.timestep"][...] = step / self.substeps
         self._values = values
         self._set_fields(values)
-        self._hooks = [(p, _local(values, p.prefix)) for p in plan.effects if p.effect.step]
-        self._errors = [[(p, _local(values, p.prefix)) for p in plan.effects if p.effect.error and p.site.channel == i]
+        acting = [p for p in plan.effects if p.acts(values).any()]  # the others would change no bit
+        self._hooks = [(p, _local(values, p.prefix)) for p in acting if p.effect.step]
+        self._errors = [[(p, _local(values, p.prefix)) for p in acting if p.effect.error and p.site.channel == i]
                         for i in range(len(plan.drives))]  # fmt: skip
         touched = {name for p, _ in self._hooks for name in p.effect.touches}
         self.live = Live(self.batch, self.fields, tuple(sorted(touched)), tuple((d, s) for d, _, s in plan.drives))
@@ -199,7 +200,7 @@ def command_filters(plan: Plan, values: Values, step: float, start: Array) -> li
         made = [
             placed.effect.command(_local(values, placed.prefix), placed.site, step, start[:, i])
             for placed in plan.effects
-            if placed.effect.command and placed.site.channel == i
+            if placed.effect.command and placed.site.channel == i and placed.acts(values).any()
         ]
         made.append(drive.target(_local(values, prefix), site, step, start[:, i]) if drive.target else None)
         chains.append([f for f in made if f is not None])
@@ -214,7 +215,7 @@ def measure_filters(model: Model, plan: Plan, values: Values, step: float, first
         made = [
             placed.effect.measure(_local(values, placed.prefix), site, step, first[:, column])
             for placed in plan.effects
-            if placed.effect.measure and (site := _sees(placed, signal)) is not None
+            if placed.effect.measure and (site := _sees(placed, signal)) is not None and placed.acts(values).any()
         ]
         chains.append([f for f in made if f is not None])
     return chains

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roll-outs: parameter sets times commands, all at once."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,21 +144,20 @@ def simulate_batch(
     columns = [every.index(name) for name in (every if signals is None else signals)]
     out = np.empty((n * c, len(grid), len(columns)))
     messages: dict[tuple[int, int], str] = {}
-    steps = 0
-    for low in range(0, n * c, CHUNK):
-        which = np.arange(low, min(low + CHUNK, n * c))
+    steps = done = 0
+    given = dict(per_command or {})
+    for which in _groups(plan, model, names, table, given, c):
         sets, plays = which // c, which % c
-        numbers = numbers_of(model, len(which))
-        numbers |= {name: table[sets, column] for column, name in enumerate(names)}
-        numbers |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
+        numbers = _numbers(model, names, table[sets], given, plays)
         first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays] for name, v in (initial or {}).items()}
         engine = Engine(model, plan, numbers, len(which), step, nthread)
         out[which] = _roll_out(model, plan, engine, numbers, step, block[plays], first)[:, :, columns]
         out[which[engine.failed]] = np.nan
         messages |= {(int(sets[i]), int(plays[i])): text for i, text in engine.messages.items()}
         steps += len(which) * engine.substeps * (len(grid) - 1)
+        done += len(which)
         if progress:
-            progress(int(which[-1]) + 1)
+            progress(done)
     failed = np.zeros((n, c), dtype=bool)
     for where in messages:
         failed[where] = True
@@ -166,6 +165,28 @@ def simulate_batch(
     seen.setflags(write=False)
     chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
     return BatchResult(chosen, units, seen, failed, messages, steps)
+
+
+def _numbers(
+    model: Model, names: Sequence[str], table: Array, per_command: Mapping[str, ArrayLike], plays: NDArray[np.int64]
+) -> dict[str, Array]:
+    """Full parameter name -> (nsim,), for simulations of these rows of values and these commands."""
+    numbers = numbers_of(model, len(table))
+    numbers |= {name: table[:, column] for column, name in enumerate(names)}
+    return numbers | {name: np.asarray(given, float)[plays] for name, given in per_command.items()}
+
+
+def _groups(
+    plan: Plan, model: Model, names: Sequence[str], table: Array, per_command: Mapping[str, ArrayLike], c: int
+) -> Iterator[NDArray[np.int64]]:
+    """Simulations to step together, by number: those that MuJoCo can do alone, and those with work at every step."""
+    everyone = np.arange(len(table) * c)
+    numbers = _numbers(model, names, table[everyone // c], per_command, everyone % c)
+    stepping = [p.acts(numbers) for p in plan.effects if p.effect.step or p.effect.error]
+    busy = np.any(stepping, axis=0) if stepping else np.zeros(len(everyone), dtype=bool)
+    for group in (everyone[~busy], everyone[busy]):
+        for low in range(0, len(group), CHUNK):
+            yield group[low : low + CHUNK]
 
 
 def _roll_out(
