@@ -28,7 +28,7 @@ from bag_files import (
 )
 
 from eps_tunnel_analysis.recording import BagWriter, read
-from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL
+from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE, TRIAL
 
 PATHS = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2] / "labyrinth_sim")]
 ENVIRONMENT = {
@@ -142,6 +142,19 @@ def test_a_damaged_bag_is_repaired_into_a_new_one(bags, tmp_path):
     assert "The bag was whole" in sound.stdout
     assert eps_tunnel("compare", "--real", bags / "real", "--sim", tmp_path / "copy").returncode == 0
     refused("repair", bags / "sim", "--out", tmp_path / "copy", told=[tmp_path / "copy", "exists"])
+
+
+def test_a_camera_that_recorded_nothing_is_left_out(bags, tmp_path):
+    with BagWriter(tmp_path / "real") as writer:
+        writer.add_topic("/real/joint_states", JOINT_STATE)
+        writer.add_topic("/real/ball", BALL_STATE)
+        for i in range(round(SECONDS * 100) + 1):
+            at = START + i * STEP
+            writer.write("/real/joint_states", at, recording_cases.joints(at, ["servo"], [0.001 * i]))
+    result = eps_tunnel("compare", "--real", tmp_path / "real", "--sim", bags / "sim", "--json")
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["signals"] == ["servo"]
+    refused("compare", "--real", tmp_path / "real", "--sim", bags / "sim", "--signals", "ball_x", told=["/real/ball"])
 
 
 def test_a_table_is_imported_and_compared(bags, tmp_path):

@@ -200,7 +200,9 @@ def reading(recordings: "Sequence[Recording]", rig: "Rig | None", arguments: arg
             [n for n, unit in zip(rig.signals, rig.units, strict=True) if unit in POSITIONS], rig, recordings
         )
     elif names is None:
-        offered = guessed_map(recordings[0]).signals
+        first = recordings[0]
+        # A camera that is not there leaves a topic without messages.
+        offered = [source for source in guessed_map(first).signals if len(first.topics[source.topic])]
         names = [source.name for source in offered if source.unit in POSITIONS] or None
     return {
         "signals": names,
@@ -211,11 +213,16 @@ def reading(recordings: "Sequence[Recording]", rig: "Rig | None", arguments: arg
 
 
 def _recorded(names: list[str], rig: "Rig", recordings: "Sequence[Recording]") -> list[str]:
-    """Those signals of a rig whose topic is in some recording, as that of a ball may not be; all where none is."""
+    """Those signals of a rig that some recording holds messages of, as of a ball it may not; all where it has none."""
     from eps_tunnel_analysis.recording.channel_map import channel_map, namespace_of
 
     maps = [(r, channel_map(rig, namespace_of(r))) for r in recordings]
-    there = {source.name for r, channels in maps for source in channels.signals if source.topic in r.topics}
+    there = {
+        source.name
+        for r, channels in maps
+        for source in channels.signals
+        if source.topic in r.topics and len(r.topics[source.topic])
+    }
     return [name for name in names if name in there] or names
 
 
