@@ -29,7 +29,10 @@ setup(
     name="eps_tunnel_analysis",
     version="0.1.0",
     packages=find_packages(include=["eps_tunnel_analysis", "eps_tunnel_analysis.*"]),
-    package_data={"": ["*.html", "*.css", "*.js", "*.xml", "*.j2", "*.json", "py.typed"]},
+    package_data={
+        "": ["*.html", "*.css", "*.js", "*.xml", "*.j2", "*.json", "py.typed"],
+        "eps_tunnel_analysis.monitor": ["static/*", "static/vendor/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/eps_tunnel_analysis"]),
         ("share/eps_tunnel_analysis", ["package.xml"]),
@@ -56,6 +59,7 @@ setup(
         "rich",
         "rosbags",
         "scipy",
+        "tornado",
         "tqdm",
         "zstandard",
     ],
@@ -70,6 +74,7 @@ setup(
             "player = eps_tunnel_analysis.nodes.player:main",
             "analysis_node = eps_tunnel_analysis.nodes.analysis_node:main",
             "calibrate_node = eps_tunnel_analysis.nodes.calibrate_node:main",
+            "monitor = eps_tunnel_analysis.nodes.monitor:main",
             "demo = eps_tunnel_analysis.nodes.demo:main",
             "eps_tunnel = eps_tunnel_analysis.cli.main:main",
         ],

@@ -200,7 +200,7 @@ class AnalysisNode(TunnelNode):
         return response
 
     def _note_models(self, message: DiagnosticArray) -> None:
-        """The simulation tells its model in its diagnostics: bags name it, and trials of another one no longer count."""
+        """The simulation tells its model in its diagnostics: bags name it, and trials of another do not count."""
         for status in message.status:
             told = {entry.key: entry.value for entry in status.values}
             if status.name.startswith("sim_node") and "model" in told:

@@ -10,13 +10,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import MessageInfo, Subscription
 from sensor_msgs.msg import JointState
 
+from eps_tunnel_analysis.nodes.polled import PolledGroup
 from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError
 from labyrinth_msgs.msg import BallEvent, BallState, Trial
 from labyrinth_sim.errors import InputError
@@ -46,7 +46,7 @@ class Recorder:
         self._writers: dict[str, BagWriter] = {}
         self._topics: dict[str, dict[str, str]] = {side: {} for side in sides}
         self._subscriptions: list[tuple[Subscription, _Order, Callable[[int, bytes], None]]] = []
-        self._polled = _Polled()
+        self._polled = PolledGroup()
         self._unknown: set[str] = set()
         self.restarts: dict[str, int] = {}
         self.errors: list[str] = []
@@ -166,19 +166,6 @@ class Recorder:
         if message not in self.errors:
             self.errors.append(message)
             self._node.get_logger().error(message)
-
-
-class _Polled(CallbackGroup):
-    """Of subscriptions that no executor waits for."""
-
-    def can_execute(self, entity: object) -> bool:
-        return False
-
-    def beginning_execution(self, entity: object) -> bool:
-        return False
-
-    def ending_execution(self, entity: object) -> None:
-        pass
 
 
 class _Order:

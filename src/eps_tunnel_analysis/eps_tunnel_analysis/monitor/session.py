@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The course of a session at the page: play, diagnose, add, play again. One thing at a time."""
+
+import queue
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from eps_tunnel_analysis.monitor.floor import rig_of
+from eps_tunnel_analysis.monitor.parts import Choices, Connections, Job, Run
+from eps_tunnel_analysis.monitor.requests import Add, Arm, Diagnose, Play, Request, Stop
+from eps_tunnel_analysis.monitor.state import State
+from eps_tunnel_analysis.monitor.steps import Steps
+from eps_tunnel_analysis.monitor.work import Done, Work, verdict_of
+from eps_tunnel_analysis.sequence_file import find_sequence
+from labyrinth_sim import config
+from labyrinth_sim.effect import effects
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.model import load_model
+
+UNWATCHED = 20.0  # s without an open page after which the rig is no longer armed
+EXPERIMENT = "next_experiment.yaml"
+
+
+class RigAccess(Protocol):
+    """What moves the rig and feeds the simulation."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether something is there that plays."""
+
+    @property
+    def playing(self) -> bool:
+        """Whether a run was asked for and has not ended; its end is told to `Session.played`."""
+
+    def alive(self, side: str) -> bool:
+        """Whether a side measures."""
+
+    @property
+    def analysed(self) -> bool:
+        """Whether both sides are compared and recorded."""
+
+    def play(self, sequence: str, trials: int, folder: Path) -> None:
+        """Plays on every side and records one bag per side in `folder`."""
+
+    def stop(self) -> None:
+        """Has the run end early."""
+
+    def load(self, model: Path) -> None:
+        """Has the simulation run a model; whether it does is told to `Session.loaded`."""
+
+    def publish(self, verdict: dict[str, Any], report: str) -> None:
+        """Tells everybody the content of a diagnosis.json."""
+
+
+class Session:
+    """Takes requests from any thread and does them in the one that calls `look`.
+
+    Args:
+        out: folder in which monitor-N is made once something is to be kept.
+        model: name or path of the model to diagnose where the simulation tells no file.
+        candidates: effects to consider in a diagnosis; none for all.
+
+    Attributes:
+        reports: HTML reports by number.
+    """
+
+    def __init__(
+        self, state: State, steps: Steps, rig: RigAccess, out: Path, model: str, candidates: Sequence[str]
+    ) -> None:
+        self._state, self._steps, self._rig = state, steps, rig
+        self._out, self._given_model, self._candidates = out, model, tuple(candidates)
+        self._requests: queue.Queue[Request] = queue.Queue()
+        self._done: queue.Queue[Done] = queue.Queue()
+        self._work = Work(self._done.put)
+        self._folder: Path | None = None
+        self._made = {"play": 0, "diagnosis": 0, "model": 0}
+        self._bags: tuple[str, ...] = ()
+        self._armed, self._watched = False, time.monotonic()
+        self._loading = False
+        self._began = 0.0
+        self._sequence = self._adding = ""
+        self._experiments: list[str] = []
+        self.reports: dict[int, Path] = {}
+        self._offer()
+
+    def ask(self, request: Request) -> None:
+        """Takes a request; may be called from any thread."""
+        self._requests.put(request)
+
+    def look(self, pages: int) -> None:
+        """Does what was asked for and what follows from work that ended; `pages` are open. To be called often."""
+        while not self._done.empty():
+            self._worked(self._done.get())
+        while not self._requests.empty():
+            request = self._requests.get()
+            try:
+                self._do(request)
+            except InputError as error:
+                self._state.note(str(error), "error")
+        self._disarm_unwatched(pages)
+        self._tell()
+
+    def show_rig(self) -> None:
+        """Shows the rig of the model that runs now."""
+        try:
+            self._state.put(rig_of(load_model(self._model or self._steps.model)))
+        except InputError as error:
+            self._state.note(f"The board cannot be drawn: {error}", "error")
+
+    def progress(self, trial: int, trials: int, phase: str, share: float, left: float, duration: float) -> None:
+        """How far the run is: trial from 0, `share` 0..1; `left`, and the command's `duration`, in s."""
+        self._state.put(Run(self._sequence, trial, trials, phase, round(share, 3), round(left, 1), duration))
+
+    def played(self, success: bool, message: str, bags: Sequence[str]) -> None:
+        """The run ended, with these bags."""
+        real = tuple(bag for bag in bags if bag.endswith("_real"))
+        self._bags = real or self._bags
+        self._state.note(message, "info" if success else "error")
+
+    def loaded(self, success: bool, message: str) -> None:
+        """The simulation answered whether it runs the model."""
+        self._loading = False
+        self._state.note(message, "info" if success else "error")
+
+    def close(self) -> None:
+        """Interrupts work under way."""
+        self._work.close()
+
+    @property
+    def _model(self) -> str:
+        return self._steps.file or self._given_model
+
+    def _do(self, request: Request) -> None:
+        match request:
+            case Arm(on):
+                self._armed = on
+                self._state.note("The rig is armed: Play moves it." if on else "The rig is no longer armed.")
+            case Stop():
+                self._rig.stop()
+                self._work.stop()
+            case Play():
+                self._play(request)
+            case Diagnose():
+                bags, model = self._materials()
+                self._work.diagnose(bags, model, self._new("diagnosis"), self._candidates)
+            case Add(names):
+                bags, model = self._materials()
+                first = Path(model).stem if not self._made["model"] else Path(model).stem.rpartition("_")[0]
+                self._work.add(names, bags, model, self._new("model", f"{first}_{{}}.yaml"))
+                self._adding = " + ".join(names)
+
+    def _play(self, request: Play) -> None:
+        self._refuse_when_busy()
+        if not self._armed:
+            raise InputError("Arm the rig first: playing moves it.")
+        if not self._rig.ready:
+            raise InputError("Nobody plays. Start `ros2 run eps_tunnel_analysis player`.")
+        found = find_sequence(request.sequence)
+        self._sequence, self._began = found.name, time.monotonic()
+        self.progress(0, (request.trials or found.trials) * len(found.commands), "connecting", 0.0, 0.0, 0.0)
+        self._rig.play(request.sequence, request.trials, self._new("play"))
+
+    def _materials(self) -> tuple[tuple[str, ...], str]:
+        """Bags and model to work with."""
+        self._refuse_when_busy()
+        if not self._bags:
+            raise InputError("Play a sequence first: the bags of the last run are what is diagnosed.")
+        if not self._model:
+            raise InputError("The simulation does not tell its model's file. Name it: `-p model:=...`.")
+        return self._bags, self._model
+
+    def _refuse_when_busy(self) -> None:
+        if self._rig.playing or self._work.kind or self._loading:
+            raise InputError("Wait until what is under way has ended, or stop it.")
+
+    def _new(self, kind: str, name: str = "") -> Path:
+        """A path that nothing has yet, in a folder of this session."""
+        if self._folder is None:
+            number = 1
+            while (folder := self._out / f"monitor-{number}").exists():
+                number += 1
+            try:
+                folder.mkdir(parents=True)
+            except OSError as error:
+                raise InputError(f"{folder}: cannot be made ({error.strerror}). Choose another `folder`.") from error
+            self._folder = folder
+        self._made[kind] += 1
+        return self._folder / (name or f"{kind}-{{}}").format(self._made[kind])
+
+    def _worked(self, done: Done) -> None:
+        if done.content is None:
+            self._state.note(done.complaint, "error")
+        elif done.kind == "diagnose":
+            self._diagnosed(done.out, done.content)
+        else:
+            self._steps.announce(f"+ {self._adding}", done.content["after"]["held_out"])
+            self._state.note(done.content["sentence"])
+            self._loading, self._began = True, time.monotonic()
+            self._rig.load(done.out)
+
+    def _diagnosed(self, folder: Path, content: dict[str, Any]) -> None:
+        number = len(self.reports) + 1
+        self.reports[number] = folder / "report.html"
+        experiment = folder / EXPERIMENT
+        if experiment.exists():
+            self._experiments.insert(0, str(experiment))
+            self._offer()
+        self._state.put(verdict_of(content, f"/report/{number}", str(experiment) if experiment.exists() else ""))
+        self._steps.diagnosed(content["held_out_as_given"])
+        self._state.note(content["sentence"])
+        self._rig.publish(content, str(self.reports[number]))
+
+    def _offer(self) -> None:
+        """Shows the sequences that can be chosen: those that diagnoses proposed, and all that have a name."""
+        sequences = []
+        for name in (*self._experiments, *config.names("sequences")):
+            try:
+                found = find_sequence(name)
+            except InputError as error:
+                self._state.note(str(error), "error")
+                continue
+            duration = sum(command.duration for command in found.commands)
+            sequences.append((name, found.description, found.trials, duration))
+        self._state.put(Choices(tuple(sequences), tuple(sorted(effects()))))
+
+    def _disarm_unwatched(self, pages: int) -> None:
+        now = time.monotonic()
+        if pages or self._rig.playing:
+            self._watched = now
+        elif self._armed and now - self._watched > UNWATCHED:
+            self._armed = False
+            self._state.note("No page is open any more, so the rig is no longer armed.")
+
+    def _tell(self) -> None:
+        rig = self._rig
+        self._state.put(
+            Connections(
+                real=rig.alive("real"), sim=rig.alive("sim"), player=rig.ready, analysis=rig.analysed,
+                model=self._steps.model, file=self._model, armed=self._armed,
+            )
+        )  # fmt: skip
+        kind, told, began = self._work.kind, self._work.told, self._work.began
+        if rig.playing:
+            kind, told, began = "play", "", self._began
+        elif self._loading:
+            kind, told, began = "add", "loading the model", self._began
+        self._state.put(Job(kind, told, float(round(time.monotonic() - began)) if kind else 0.0))

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// Keeps the connection, hands each part to its panel, and sends what is asked for.
+import { drawBoard } from "/static/board.js";
+import { drawGap } from "/static/gap.js";
+import { Tunnels } from "/static/tunnels.js";
+import { showChoices, showControls, showHealth, showLog, showNotice, showStairs, showVerdict } from "/static/panels.js";
+
+const SLOWEST = 5000; // ms between two attempts to connect
+const SILENCE = 4000; // ms; an open but silent connection is closed and made anew
+
+const known = {}; // the newest of every part
+const tunnels = new Tunnels();
+let socket = null, delay = 250, heard = 0;
+
+function connect() {
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  heard = performance.now();
+  socket.onopen = () => { delay = 250; document.getElementById("away").hidden = true; tunnels.forget(); };
+  socket.onmessage = (event) => { heard = performance.now(); take(JSON.parse(event.data)); };
+  socket.onclose = () => {
+    const away = document.getElementById("away");
+    away.hidden = false;
+    away.textContent = "The monitor does not answer. Connecting again…";
+    setTimeout(connect, delay);
+    delay = Math.min(2 * delay, SLOWEST);
+    draw();
+  };
+}
+
+function take(news) {
+  if (news.refused) { showNotice(news.refused); return; }
+  Object.assign(known, news);
+  if (news.tunnel) tunnels.take(news.tunnel);
+  if (news.choices) showChoices(news.choices);
+  if (news.verdict) showVerdict(news.verdict);
+  if (news.staircase) showStairs(news.staircase.steps);
+  if (news.log) showLog(news.log.entries);
+  if (news.health) showHealth(news.health);
+  if (news.gap || news.before) drawGap(known.gap, known.before, known.staircase);
+  if (news.connections || news.job || news.run || news.verdict || news.gap) showControls(known);
+  draw();
+}
+
+let due = false;
+function draw() {
+  if (due) return;
+  due = true;
+  requestAnimationFrame(() => {
+    due = false;
+    tunnels.draw(known.run, known.gap);
+    drawBoard(known.rig, known.scene, tunnels.now());
+  });
+}
+
+export function ask(request) {
+  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(request));
+  else showNotice("Not connected; nothing was asked.");
+}
+
+function again() {
+  tunnels.forgetCharts();
+  drawGap(known.gap, known.before, known.staircase, true);
+  draw();
+}
+
+document.getElementById("play").onclick = () => ask({
+  do: "play", sequence: document.getElementById("sequence").value, trials: Number(document.getElementById("trials").value),
+});
+document.getElementById("stop").onclick = () => ask({ do: "stop" });
+document.getElementById("diagnose").onclick = () => ask({ do: "diagnose" });
+document.getElementById("add").onclick = () => ask({ do: "add", names: document.getElementById("effect").value.split(" + ") });
+document.getElementById("armed").onchange = (event) => ask({ do: "arm", on: event.target.checked });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
+let width = innerWidth;
+addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; again(); } });
+setInterval(() => { if (socket.readyState === WebSocket.OPEN && performance.now() - heard > SILENCE) socket.close(); }, 1000);
+addEventListener("online", () => { delay = 250; });
+connect();

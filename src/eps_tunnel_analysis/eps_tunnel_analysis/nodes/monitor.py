@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serves the page to watch, and does what it is asked for there."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from eps_tunnel_analysis.monitor.access import SHORTEST_TOKEN, is_loopback, new_token
+from eps_tunnel_analysis.monitor.server import MonitorServer
+from eps_tunnel_analysis.monitor.session import Session
+from eps_tunnel_analysis.monitor.state import State
+from eps_tunnel_analysis.monitor.steps import Steps
+from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
+from eps_tunnel_analysis.nodes.message_times import nanoseconds
+from eps_tunnel_analysis.nodes.monitor_inputs import LATCHED, Inputs
+from eps_tunnel_analysis.nodes.monitor_rig import PlayerClient, SimulationClient
+from labyrinth_msgs.action import PlaySequence
+from labyrinth_msgs.msg import Diagnosis
+from labyrinth_sim.effect import effects
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.model import load_model
+
+PERIOD = 0.1  # s between two looks at what came
+PLAYER_GONE = 5.0  # s
+
+
+class Monitor(TunnelNode):
+    """Action client of /play_sequence, client of /sim/load_model; publishes its verdicts on /srg/diagnosis."""
+
+    def __init__(self) -> None:
+        super().__init__("monitor")
+        host = self.parameter("host", "127.0.0.1", "Address to listen on; others than this machine's need the token")
+        port = self.parameter("port", 8765, "Port to listen on; 0 takes a free one", "-", 0, 65535)
+        token = self.parameter("token", "", "To be shown by every page; empty: none on this machine, else a new one")
+        folder = self.parameter("folder", "out", "Where monitor-N is made, for bags, diagnoses and models")
+        model = self.parameter("model", "", "Model to diagnose; empty: the file that the simulation tells")
+        candidates = self.parameter("candidates", [""], "Effects to consider in a diagnosis; empty: all") or []
+        candidates = [name for name in candidates if name]
+        self._check(token, model, candidates)
+        self._state = State()
+        self._steps = Steps(self._state)
+        self._inputs = Inputs(self, self._state, self._steps)
+        self._player = PlayerClient(self, self._progressed, self._played)
+        self._simulation = SimulationClient(self)
+        self._verdicts = self.create_publisher(Diagnosis, "/srg/diagnosis", LATCHED)
+        self._player_seen = time.monotonic()
+        out = Path(folder).expanduser().resolve()
+        self._session = Session(self._state, self._steps, self, out, model, candidates)
+        if not is_loopback(host) and not token:
+            token = new_token()
+        self._server = MonitorServer(self._state, host, port, token, self._session.ask, self._session.reports)
+        self.create_timer(PERIOD, self._look)
+        self.get_logger().info(f"Open {self._server.address}")
+
+    @property
+    def busy(self) -> bool:
+        return self._player.playing
+
+    def close(self) -> None:
+        self._session.close()
+        self._server.close()
+
+    # What the session asks for.
+
+    @property
+    def ready(self) -> bool:
+        """Whether the player is there."""
+        return self._player.ready
+
+    @property
+    def playing(self) -> bool:
+        """Whether a run was asked for and has not ended."""
+        return self._player.playing
+
+    @property
+    def analysed(self) -> bool:
+        """Whether the analysis node is there."""
+        return self._inputs.analysed
+
+    def alive(self, side: str) -> bool:
+        """Whether a side measures."""
+        return self._inputs.alive(side)
+
+    def play(self, sequence: str, trials: int, folder: Path) -> None:
+        """Has the player play and record."""
+        self._player.play(sequence, trials, folder)
+
+    def stop(self) -> None:
+        """Has the player end the run early."""
+        self._player.stop()
+
+    def load(self, model: Path) -> None:
+        """Has the simulation run a model."""
+        self._simulation.load(model, self._session.loaded)
+
+    def publish(self, verdict: dict[str, Any], report: str) -> None:
+        """Publishes a verdict for those who come later, too."""
+        message = diagnosis(verdict, report)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._inputs.own_verdict = nanoseconds(message.header.stamp)
+        self._verdicts.publish(message)
+
+    def _check(self, token: str, model: str, candidates: list[str]) -> None:
+        if token and len(token) < SHORTEST_TOKEN:
+            self.complain(f"Parameter 'token': expected at least {SHORTEST_TOKEN} characters, got {len(token)}.")
+        for name in candidates:
+            if name not in effects():
+                self.complain(f"Parameter 'candidates': {unknown_name('effect', name, effects())}")
+        try:
+            if model:
+                load_model(model)
+        except InputError as error:
+            for complaint in error.complaints:
+                self.complain(f"Parameter 'model': {complaint}")
+        self.check_parameters()
+
+    def _look(self) -> None:
+        if self._inputs.take():
+            self._session.show_rig()
+        self._session.look(self._server.pages)
+        now = time.monotonic()
+        if self._player.ready or not self._player.playing:
+            self._player_seen = now
+        elif now - self._player_seen > PLAYER_GONE:
+            self._player.lost()
+        if self.stopping.is_set() and self._player.playing:
+            self._player.stop()  # nobody could stop it any more
+
+    def _progressed(self, told: PlaySequence.Feedback) -> None:
+        duration = self._inputs.duration
+        self._session.progress(told.trial, told.trials, told.phase, told.progress, told.time_left, duration)
+
+    def _played(self, result: PlaySequence.Result) -> None:
+        self._session.played(result.success, result.message, list(result.bags))
+
+
+def diagnosis(content: dict[str, Any], report: str) -> Diagnosis:
+    """The content of a diagnosis.json as a message."""
+
+    def number(key: str) -> float:
+        value = content[key]
+        return float("nan") if value is None else float(value)
+
+    hypotheses = content["set"]
+    return Diagnosis(
+        verdict=content["verdict"], effects=content["effects"], candidates=list(hypotheses),
+        probabilities=[float(p) for p in hypotheses.values()], coverage=number("coverage"),
+        sentence=content["sentence"], next_experiment=content["next_experiment"] or "", report=report,
+        **{key: number(key) for key in ("error_before", "error_after", "held_out_before", "held_out_after",
+                                        "alikeness_before", "alikeness_after")},
+    )  # fmt: skip
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `ros2 run eps_tunnel_analysis monitor`."""
+    return run_node(Monitor, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
