@@ -17,6 +17,7 @@ from eps_tunnel_analysis.nodes.message_times import to_time
 from eps_tunnel_analysis.nodes.progress import Progress
 from eps_tunnel_analysis.nodes.record_client import RecordClient
 from eps_tunnel_analysis.nodes.rig_side import RigSide
+from eps_tunnel_analysis.nodes.ticks import Grid, both_clocks
 from eps_tunnel_analysis.sequence import Command, Sequence
 from labyrinth_msgs.msg import Trial
 from labyrinth_sim.errors import InputError
@@ -164,15 +165,16 @@ class Play:
                 side.mark(to_time(stamp_ns), phase, command, number)
 
         try:
-            start = self._tick(command, [targets] * len(self._sides), run, lambda ns: mark(Trial.START, ns), True)
-            mark(Trial.END, start + round(command.duration * 1e9))
+            grid = self._tick(command, [targets] * len(self._sides), run, lambda ns: mark(Trial.START, ns), True)
+            mark(Trial.END, grid.begin_ns + round(command.duration * 1e9))
         finally:
             if started:
                 mark(Trial.ABORTED, self._clock.now().nanoseconds)
         run.phase = "recording"
         run.trial_done()
         tail = np.repeat(targets[-1:], math.ceil(TAIL * self._rate), axis=0)
-        self._tick(command, [tail] * len(self._sides), run)
+        done = max(len(targets), grid.newest(time.monotonic()) + 1)
+        self._tick(command, [tail] * len(self._sides), run, grid=grid, done=done)
 
     def _settle(self, command: Command, pose: Array, run: "_Run") -> None:
         for side in self._sides:
@@ -195,39 +197,48 @@ class Play:
         run: "_Run",
         first: Callable[[int], None] | None = None,
         strict: bool = False,
-    ) -> int:
-        """Sends row after row to each side, one a tick; returns the stamp of the first in ns.
+        grid: Grid | None = None,
+        done: int = 0,
+    ) -> Grid:
+        """Sends row after row to each side, one a tick; returns the ticks' grid.
 
-        The deadlines are absolute, so that a late tick does not move those after it; rows whose time passed meanwhile
-        are left out, as a held command would be. With `strict` more than `Limits.stall` of them are too many.
+        Ticks are those of a new grid that begins now, or of a given one after its first `done`. They are absolute, so
+        that a late tick does not move those after it; rows whose time passed meanwhile are left out, as a held command
+        would be. With `strict` more than `Limits.stall` of them are too many.
         """
-        run.wait(max(run.next_tick, time.monotonic()))
-        begin, begin_ns = time.monotonic(), self._clock.now().nanoseconds
+        if grid is None:
+            run.wait(max(run.next_tick, time.monotonic()))
+            grid = Grid(*both_clocks(self._nanoseconds), self._rate)
+        else:
+            run.wait(grid.moment(done))
         step = 0
         while step < len(rows[0]):
-            now = time.monotonic()
-            drift = (self._clock.now().nanoseconds - begin_ns) * 1e-9 - (now - begin)
+            now, ns = both_clocks(self._nanoseconds)
+            drift = (ns - grid.begin_ns) * 1e-9 - (now - grid.begin)
             if abs(drift) > 1.0:
                 raise Ended(f"the clock jumped by {drift:+.1f} s while playing.")
             self._check_silence(now, run)
             if step == 0 and first is not None:
-                first(begin_ns)
+                first(grid.begin_ns)
             # The stamp is that of the tick, not of the moment it was served: even steps of time, whatever the load.
-            stamp = to_time(begin_ns + round(step / self._rate * 1e9))
+            stamp = to_time(grid.stamp(done + step))
             for side, targets in zip(self._sides, rows, strict=True):
                 side.send(stamp, command, targets[step])
             run.report(now)
-            run.next_tick = begin + (step + 1) / self._rate
+            run.next_tick = grid.moment(done + step + 1)
             if step + 1 < len(rows[0]):
                 run.wait(run.next_tick)
-            due = int((time.monotonic() - begin) * self._rate)
+            due = grid.newest(time.monotonic()) - done
             if strict and due - step - 1 > self._limits.stall * self._rate:
                 raise Stalled(
                     f"the player was not served for {(due - step) / self._rate:.2f} s; the machine is too busy. Close "
                     "other programs, or raise `stall_timeout`."
                 )
             step = max(step + 1, due)
-        return begin_ns
+        return grid
+
+    def _nanoseconds(self) -> int:
+        return int(self._clock.now().nanoseconds)
 
     def _check_silence(self, now: float, run: "_Run") -> None:
         """Raises Ended when a side fell silent while this process could have heard it."""

@@ -25,6 +25,9 @@ DEEP = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 TICK = 10_000_000  # ns of recorded time between two messages on /clock
 CHECK = 0.5  # s between two looks for other publishers
 ACKNOWLEDGED = 5.0  # s to wait for the last messages to arrive
+QUIET = 0.5  # s without new subscribers after which all are taken to be known
+NAMED = 2.0  # s to wait for the name of a node whose publisher is known already
+NAMELESS = "_NODE_NAME_UNKNOWN_"  # as rmw tells it
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def replay(paths: Sequence[Path], options: Options) -> str:
         classes, left_out = _classes(kinds)
         publishers = {topic: node.create_publisher(kind, topic, DEEP) for topic, kind in classes.items()}
         clock = node.create_publisher(Clock, "/clock", 10) if options.clock else None
-        _wait(list(publishers.values()), options.wait)
+        _wait(node, [*publishers.values(), *([clock] if clock else [])], options.wait)
         watched = [*publishers, *(["/clock"] if clock else [])]
         _refuse_others(node, watched)
         _publish(
@@ -119,24 +122,40 @@ def _classes(kinds: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
     return classes, left_out
 
 
-def _wait(publishers: Sequence[Publisher], longest: float) -> None:
-    """Until every topic has a subscriber, or nobody more came."""
-    deadline = time.monotonic() + longest
-    while time.monotonic() < deadline and not all(p.get_subscription_count() for p in publishers):
+def _wait(node: Node, publishers: Sequence[Publisher], longest: float) -> None:
+    """Until every topic but /clock has a subscriber, all that are known are reached, and nobody more comes."""
+    began = changed = time.monotonic()
+    seen: list[int] = []
+    while (now := time.monotonic()) - began < longest:
+        reached = [publisher.get_subscription_count() for publisher in publishers]
+        known = [node.count_subscribers(publisher.topic_name) for publisher in publishers]
+        if reached + known != seen:
+            seen, changed = reached + known, now
+        listened = all(count or p.topic_name == "/clock" for count, p in zip(reached, publishers, strict=True))
+        if listened and reached == known and now - changed > QUIET:
+            return
         time.sleep(0.02)
 
 
 def _refuse_others(node: Node, topics: Sequence[str]) -> None:
     """A rig must not get recorded commands, nor an analysis two measurements at once."""
+    # One publisher of each topic is this node's. Others' are known before the names of their nodes.
+    deadline = time.monotonic() + NAMED
+    while True:
+        found = {topic: node.get_publishers_info_by_topic(topic) for topic in topics}
+        found = {topic: infos for topic, infos in found.items() if len(infos) > 1}
+        named = all(info.node_name != NAMELESS for infos in found.values() for info in infos)
+        if named or time.monotonic() > deadline:
+            break
+        time.sleep(0.02)
     complaints = []
-    for topic in topics:
-        others = [info for info in node.get_publishers_info_by_topic(topic) if info.node_name != node.get_name()]
-        names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in others})
-        if names:
-            complaints.append(
-                f"{topic} is published by {', '.join(names)} already. Stop that, leave the topic out by --topics, or "
-                "set another ROS_DOMAIN_ID."
-            )
+    for topic, infos in found.items():
+        full = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
+        others = {name for name in full if name != node.get_fully_qualified_name() and NAMELESS not in name}
+        complaints.append(
+            f"{topic} is published by {', '.join(sorted(others)) or 'another node'} already. Stop that, leave the "
+            "topic out by --topics, or set another ROS_DOMAIN_ID."
+        )
     if complaints:
         raise InputError(complaints)
 
