@@ -14,8 +14,7 @@ from labyrinth_hw.compensation import Compensation, Compensator, compensation_fr
 from labyrinth_hw.control_tables import servo_model
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.hardware import Hardware
-from labyrinth_hw.nodes.calibrate_motors import as_yaml, calibrate
-from labyrinth_hw.safety import Command
+from labyrinth_hw.nodes.calibrate_motors import as_yaml, calibrate, lead, rest
 from labyrinth_hw.sensors import Slope
 from labyrinth_hw.settings import load_hardware
 from labyrinth_hw.testbed.live import LiveTestbed
@@ -40,19 +39,16 @@ def flawed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     testbed.close()
 
 
-def rest(hardware: Hardware, goals: list[float], axis: int) -> float:
+def rests(hardware: Hardware, goals: list[float], axis: int) -> float:
     """Where the board rests after these goals, rad, met one after the other."""
-    readings = []
+    at: dict[str, float] = {}
     for goal in goals:
-        readings.clear()
-        for k in range(60):
-            measured = hardware.cycle(Command({"motor_x": goal, "motor_y": goal}, time.monotonic()))
-            if k >= 40 and measured is not None and measured.board is not None:
-                readings.append((measured.board.x, measured.board.y)[axis])
-            time.sleep(0.01)
-    return float(np.mean(readings))
+        # A board that is thrown coasts within its play, and then rests anywhere in it.
+        at = lead(hardware, at, {"motor_x": goal, "motor_y": goal})
+    return rest(hardware, at, axis, 0.4, 20)
 
 
+@pytest.mark.realtime
 def test_calibration_finds_the_flaws_and_compensation_removes_them(flawed: None) -> None:
     hardware = Hardware(load_hardware("healthy"))
     hardware.connect()
@@ -70,8 +66,8 @@ def test_calibration_finds_the_flaws_and_compensation_removes_them(flawed: None)
     hardware.connect()
     try:
         worst = found["motor_x"].angles[int(np.abs(found["motor_x"].errors).argmax())]
-        assert abs(rest(hardware, [worst], 0) - worst) < 0.4 * 0.012
-        up, down = rest(hardware, [-0.03, 0.02], 1), rest(hardware, [0.05, 0.02], 1)
+        assert abs(rests(hardware, [worst], 0) - worst) < 0.4 * 0.012
+        up, down = rests(hardware, [-0.03, 0.02], 1), rests(hardware, [0.05, 0.02], 1)
     finally:
         hardware.close()
     assert abs(down - up) < 0.4 * 0.012

@@ -20,12 +20,13 @@ from tqdm import tqdm
 from labyrinth_hw import config
 from labyrinth_hw.compensation import Compensation, measured_map
 from labyrinth_hw.errors import HardwareError, InputError
-from labyrinth_hw.hardware import Hardware
+from labyrinth_hw.hardware import Hardware, Measurement
 from labyrinth_hw.safety import Command, State
 from labyrinth_hw.settings import load_hardware
 
 PERIOD = 0.01  # s
 BEYOND_DEG = 1.0  # past the ends of the map; more than any belt's slack
+LEAD = 0.1  # rad/s between two goals; thrown by a faster servo, the board would coast within the slack
 
 
 def parser() -> argparse.ArgumentParser:
@@ -94,35 +95,60 @@ def calibrate(
     beyond = np.radians(BEYOND_DEG)
     path = [goals[0] - beyond, *goals, goals[-1] + beyond, *goals[::-1]]
     found = {}
+    at: dict[str, float] = {}
     with tqdm(total=len(names) * len(path), desc="calibrate", unit="rest") as bar:
         for axis, name in enumerate(names):
             rests = []
             for goal in path:
                 command = {other: float(goal) if other == name else 0.0 for other in names}
-                rests.append(_rest(hardware, command, axis, settle, samples))
+                at = lead(hardware, at, command)
+                rests.append(rest(hardware, command, axis, settle, samples))
                 bar.update()
             half = len(goals)
             found[name] = measured_map(list(goals), rests[1 : half + 1], rests[half + 2 :][::-1])
-            _rest(hardware, dict.fromkeys(names, 0.0), axis, settle, 1)
+            at = lead(hardware, at, dict.fromkeys(names, 0.0))
     return found
 
 
-def _rest(hardware: Hardware, goals: dict[str, float], axis: int, settle: float, samples: int) -> float:
+def lead(hardware: Hardware, start: dict[str, float], goals: dict[str, float]) -> dict[str, float]:
+    """Move evenly from the last goals, or from where the motors are, to new ones, rad; returns the new ones."""
+    if not start:
+        measured = _period(hardware, None, time.monotonic() + 2.0)
+        start = {name: measured.motors[name].position for name in goals}
+    longest = max(abs(goals[name] - start[name]) for name in goals)
+    shares = np.linspace(0.0, 1.0, 1 + max(1, round(longest / (LEAD * PERIOD))))[1:]
+    for share in shares:
+        step = {name: start[name] + float(share) * (goals[name] - start[name]) for name in goals}
+        _period(hardware, step, time.monotonic() + 2.0)
+    return goals
+
+
+def rest(hardware: Hardware, goals: dict[str, float], axis: int, settle: float, samples: int) -> float:
     """Hold goals, and return where the board rests on one axis, rad."""
     readings: list[float] = []
-    deadline = time.monotonic() + settle + 20 * samples * PERIOD + 2.0
     begun = time.monotonic()
+    deadline = begun + settle + 20 * samples * PERIOD + 2.0
     while len(readings) < samples:
+        measured = _period(hardware, goals, deadline)
+        if measured.board is not None and time.monotonic() - begun > settle:
+            readings.append((measured.board.x, measured.board.y)[axis])
+        elif time.monotonic() > deadline:
+            raise HardwareError(f"The rig fell silent: {hardware.trouble or 'no potentiometer readings'}")
+    return float(np.mean(readings))
+
+
+def _period(hardware: Hardware, goals: dict[str, float] | None, deadline: float) -> Measurement:
+    """One control period, or as many as it takes to hear the servos. Raises HardwareError after `deadline`."""
+    while True:
         due = time.monotonic() + PERIOD
-        measured = hardware.cycle(Command(goals, time.monotonic()))
+        measured = hardware.cycle(None if goals is None else Command(goals, time.monotonic()))
         if hardware.safety.state is State.STOPPED:
             raise HardwareError("; ".join(hardware.safety.reasons))
-        if measured is not None and measured.board is not None and due - begun > settle:
-            readings.append((measured.board.x, measured.board.y)[axis])
-        if time.monotonic() > deadline:
-            raise HardwareError(f"The rig fell silent: {hardware.trouble or 'no potentiometer readings'}")
         time.sleep(max(0.0, due - time.monotonic()))
-    return float(np.mean(readings))
+        if measured is not None:
+            return measured
+        if time.monotonic() > deadline:
+            raise HardwareError(f"The rig fell silent: {hardware.trouble}")
 
 
 def as_yaml(entry: Compensation) -> dict[str, Any]:
