@@ -18,6 +18,7 @@ from eps_tunnel_analysis.nodes.processes import executable
 from eps_tunnel_analysis.recording.reader import read
 from eps_tunnel_analysis.sequence_file import find_sequence
 
+pytestmark = pytest.mark.realtime
 BELOW = ("testbed", "hw_node", "sim_node", "analysis_node", "player")
 
 

@@ -24,6 +24,7 @@ from eps_tunnel_analysis.recording.reader import read
 from eps_tunnel_analysis.recording.recording import Recording
 from labyrinth_msgs.srv import Record
 
+pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[1]
 STATES, COMMANDS = "/real/joint_states", "/real/joint_commands"
 SECOND = 1_000_000_000  # ns
@@ -105,9 +106,9 @@ class Bench(Workplace):
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(tmp_path: Path, domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setenv("LABYRINTH_TESTBED_DIR", str(tmp_path / "links"))
-    with workplace(tmp_path / "work", 45) as place:
+    with workplace(tmp_path / "work", domain) as place:
         place.__class__ = Bench
         place.begin()
         yield place

@@ -31,11 +31,10 @@ def test_every_interface_file_is_built() -> None:
 
 
 @pytest.fixture(scope="module")
-def node() -> Iterator[Any]:
+def node(module_domain: int) -> Iterator[Any]:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ["ROS_DOMAIN_ID"] = "92"
     rclpy = pytest.importorskip("rclpy")
-    rclpy.init()
+    rclpy.init(domain_id=module_domain)
     node = rclpy.create_node("round_trip")
     yield node
     node.destroy_node()
@@ -64,6 +63,7 @@ def kinds() -> list[Any]:
     return [getattr(messages, file.stem) for file in FILES if file.suffix == ".msg"]
 
 
+@pytest.mark.realtime
 def test_every_message_crosses_dds_unchanged(node: Any) -> None:
     import rclpy
 
@@ -84,6 +84,7 @@ def test_every_message_crosses_dds_unchanged(node: Any) -> None:
         node.destroy_publisher(publisher)
 
 
+@pytest.mark.realtime
 def test_services_and_the_actions_cross_dds_unchanged(node: Any) -> None:
     import rclpy
     from rclpy.action import ActionClient, ActionServer

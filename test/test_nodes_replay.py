@@ -23,6 +23,7 @@ from eps_tunnel_analysis.recording import BagWriter, read_trials
 from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL, typestore
 from labyrinth_msgs.msg import LiveCounters, Srg
 
+pytestmark = pytest.mark.realtime
 STORE = typestore()
 TYPES: Any = STORE.types
 SECOND = 1_000_000_000
@@ -62,8 +63,8 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Iterator[Workplace]:
-    with workplace(tmp_path, 45) as it:
+def place(tmp_path: Path, domain: int) -> Iterator[Workplace]:
+    with workplace(tmp_path, domain) as it:
         yield it
 
 
@@ -86,9 +87,12 @@ def test_the_live_figures_of_replayed_bags_are_those_of_the_bags(place: Workplac
     place.node.create_subscription(Clock, "/clock", clock.append, 1000)
     place.start("eps_tunnel_analysis", "analysis_node", use_sim_time=True)
     place.until(lambda: place.node.count_subscribers("/real/joint_states"))
+    # This node's own: replay waits for all that listen to /clock, once it knows of them.
+    place.until(lambda: place.node.count_subscribers("/clock") == 2)
     done = replayed(place, *bags, "--speed", 2, "--wait", 30)
     assert done.returncode == 0, done.stderr
     assert "Published" in done.stdout
+    place.until(lambda: clock)
     live = place.until(lambda: told and told[-1].trials == 2 and told[-1].samples == SAMPLES and told[-1])
     offline = compare(*(read_trials([path], signals=["servo"]).trials for path in bags))
     assert live.signals == ["servo"]

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+pytestmark = pytest.mark.realtime
 ROS2 = Path(__file__).resolve().parents[1] / "tools" / "bin" / "ros2"
-ENVIRONMENT = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "91"}
+ENVIRONMENT = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 NODE = """
 import rclpy
@@ -54,7 +55,8 @@ rclpy.spin(node)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def rig() -> Iterator[None]:
+def rig(module_domain: int) -> Iterator[None]:
+    ENVIRONMENT["ROS_DOMAIN_ID"] = str(module_domain)
     process = subprocess.Popen([sys.executable, "-c", NODE], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:

@@ -340,6 +340,7 @@ def test_a_bag_named_twice(bags):
     refused("compare", "--real", bag, bag, "--sim", bags / "sim", told=[bag, "twice"])
 
 
+@pytest.mark.realtime
 def test_ctrl_c_ends_with_130_and_leaves_nothing_behind(bags, tmp_path):
     process = subprocess.Popen(
         [*COMMAND, "compare", "--real", bags / "real", "--sim", bags / "sim", "--rate", "20000", "--out",

@@ -91,6 +91,7 @@ def test_bad_input_is_told_and_leaves_no_file(bags, tmp_path, capsys, options, t
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.realtime
 def test_ctrl_c_keeps_the_best_so_far_and_the_checkpoint_goes_on_from_there(bags, tmp_path) -> None:
     options = ["--method", "es", "--generations", "10", "--signals", "motor_x", "--free", "drive.x.p", "drive.x.delay",
                "--hold-out", "3", "--progress", "lines", "--json"]  # fmt: skip
@@ -105,7 +106,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_the_checkpoint_goes_on_from_there(bags
         if json.loads(line)["evaluations"] > 100:
             process.send_signal(signal.SIGINT)
             break
-    stdout, stderr = process.communicate(timeout=60)
+    stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == 130, stderr
     cut = json.loads(stdout)
     assert cut["interrupted"]

@@ -75,6 +75,7 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     return bag, max([last, *(int(line) for line in rest if len(line) == len(str(last)))])
 
 
+@pytest.mark.realtime
 def test_a_killed_recorder_loses_at_most_the_last_second(killed: tuple[Path, int]) -> None:
     bag, last = killed
     recording = read(bag)

@@ -6,11 +6,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
+from typing import IO
 
-PATIENCE = 30.0
-DOMAIN = str(40 + os.getpid() % 60)
+PATIENCE = 90.0  # s; only what hangs takes so long
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+_numbers = count()
 COMMANDER = """
 import sys, time, rclpy
 from sensor_msgs.msg import JointState
@@ -28,7 +30,7 @@ while True:
 class Bench:
     """A testbed, a hardware node, and somebody who listens and commands."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, domain: int) -> None:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.executors import SingleThreadedExecutor
@@ -38,7 +40,7 @@ class Bench:
         from labyrinth_msgs.msg import BallEvent, BallState
 
         self.folder = folder
-        self.environment = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "LABYRINTH_TESTBED_DIR": str(folder / "links")}
+        self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "LABYRINTH_TESTBED_DIR": str(folder / "links")}
         self.testbed: subprocess.Popen[str] | None = None
         self.node: subprocess.Popen[str] | None = None
         self.commander: subprocess.Popen[str] | None = None
@@ -47,14 +49,14 @@ class Bench:
         self.balls: list = []
         self.events: list = []
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=int(DOMAIN))
+        rclpy.init(context=self._context, domain_id=domain)
         self._peer = rclpy.create_node("peer", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._peer)
-        self._peer.create_subscription(JointState, "/real/joint_states", self.states.append, 100)
-        self._peer.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
-        self._peer.create_subscription(BallState, "/real/ball", self.balls.append, 10)
-        self._peer.create_subscription(BallEvent, "/real/ball_event", self.events.append, 10)
+        self._peer.create_subscription(JointState, "/real/joint_states", self.states.append, 1000)
+        self._peer.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 100)
+        self._peer.create_subscription(BallState, "/real/ball", self.balls.append, 1000)
+        self._peer.create_subscription(BallEvent, "/real/ball_event", self.events.append, 100)
         self._commands = self._peer.create_publisher(JointState, "/real/joint_commands", 10)
         self._reset = self._peer.create_client(Trigger, "/real/reset")
         self.supply = self._peer.create_client(Trigger, "/real/supply_ball")
@@ -72,13 +74,20 @@ class Bench:
     def start_node(self, **parameters: object) -> None:
         options = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
         command = [sys.executable, "-m", "labyrinth_hw.nodes.hw_node", "--ros-args", "-p", "config:=healthy", *options]
-        self.node = self._start(command, None)
+        # A file, for nobody empties a pipe while the node runs.
+        self._told = self.folder / f"hw_node_{next(_numbers)}.log"
+        with self._told.open("w") as file:
+            self.node = self._start(command, subprocess.DEVNULL, file)
 
-    def _start(self, command: list[str], pipe: int | None) -> "subprocess.Popen[str]":
-        errors = subprocess.PIPE if pipe is None else None
+    def _start(self, command: list[str], out: int, errors: IO[str] | None = None) -> "subprocess.Popen[str]":
         return subprocess.Popen(
-            command, env=self.environment, stdin=subprocess.PIPE, stdout=pipe, stderr=errors, text=True
+            command, env=self.environment, stdin=subprocess.PIPE, stdout=out, stderr=errors, text=True
         )
+
+    def ended(self) -> tuple[int, str]:
+        """Waits for the end of the node started last; its exit code, and what it told on stderr."""
+        assert self.node is not None
+        return self.node.wait(PATIENCE), self._told.read_text()
 
     def tell(self, fault: str) -> None:
         """Give the testbed an order and wait until it obeyed."""
@@ -140,7 +149,11 @@ class Bench:
         for process in (self.commander, self.node, self.testbed):
             if process is not None and process.poll() is None:
                 process.terminate()
-                process.wait(20)
+                try:
+                    process.wait(PATIENCE)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
         self._executor.remove_node(self._peer)
         self._peer.destroy_node()
         self._context.try_shutdown()

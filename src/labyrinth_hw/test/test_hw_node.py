@@ -16,12 +16,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 from hw_bench import PATIENCE, Bench
 
 ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("labyrinth_msgs") is not None
-pytestmark = pytest.mark.skipif(not ROS, reason="rclpy or labyrinth_msgs not importable: source env.bash first")
+pytestmark = [
+    pytest.mark.skipif(not ROS, reason="rclpy or labyrinth_msgs not importable: source env.bash first"),
+    pytest.mark.realtime,
+]
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(tmp_path)
+def bench(tmp_path: Path, domain: int) -> Iterator[Bench]:
+    made = Bench(tmp_path, domain)
     yield made
     made.close()
 
@@ -86,15 +89,16 @@ def test_torque_goes_off_when_the_node_ends(bench: Bench, how: int) -> None:
     bench.until(lambda: bool(bench.states) and bench.reaches((0.03, 0.0)), "the goal")
     assert bench.node is not None
     bench.node.send_signal(how)
-    assert bench.node.wait(20) == 0
-    bus = ServoBus(str(bench.folder / "links" / "servos"), 1_000_000, [Motor("motor_x", 1, servo_model("MX-64"))])
+    assert bench.ended()[0] == 0
+    motors = [Motor("motor_x", 1, servo_model("MX-64"))]
+    bus = ServoBus(str(bench.folder / "links" / "servos"), 1_000_000, motors, patience=1.0)
     bus.connect()
     assert bus.read("motor_x", "torque_enable") == 0
     bus.close()
 
 
 def test_a_node_that_starts_first_waits_for_its_ports(bench: Bench) -> None:
-    bench.start_node(connect_timeout="25.0")
+    bench.start_node(connect_timeout=PATIENCE)
     bench.start_testbed()
     bench.more_states(5)
 
@@ -147,7 +151,6 @@ def test_the_ball_is_seen_lost_and_supplied(bench: Bench) -> None:
 )
 def test_bad_parameters_and_missing_hardware_end_with_code_2(bench: Bench, parameters: dict, complaint: str) -> None:
     bench.start_node(**parameters)
-    assert bench.node is not None
-    _, text = bench.node.communicate(timeout=PATIENCE)
-    assert bench.node.returncode == 2
+    code, text = bench.ended()
+    assert code == 2
     assert complaint in text

@@ -52,13 +52,14 @@ def bus(path: str, model: str, **changes: object) -> ServoBus:
 
 
 @pytest.mark.parametrize("model", sorted(MODELS))
+@pytest.mark.realtime
 def test_every_model_connects_moves_and_tells_its_state(serve, model: str) -> None:
     _, path = serve(model)
     servos = bus(path, model)
     servos.connect()
     servos.set_torque(True)
     servos.write_goals({"motor_x": 0.05, "motor_y": -0.03})
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 90.0
     states = servos.read_states()
     while time.monotonic() < deadline and abs(states["motor_x"].position - 0.05) > 0.008:
         states = servos.read_states()
@@ -74,6 +75,7 @@ def test_every_model_connects_moves_and_tells_its_state(serve, model: str) -> No
 
 
 @pytest.mark.parametrize("model", ["MX-64", "MX-64-2"])
+@pytest.mark.realtime
 def test_sdk_functions_understand_the_emulated_servo(serve, model: str) -> None:
     testbed, path = serve(model)
     servo = servo_model(model)
@@ -109,6 +111,7 @@ def test_sdk_functions_understand_the_emulated_servo(serve, model: str) -> None:
         port.closePort()
 
 
+@pytest.mark.realtime
 def test_missing_and_wrong_servos_are_told_with_what_was_found(serve) -> None:
     _, path = serve("MX-64")
     motors = [Motor("motor_x", 1, servo_model("MX-106")), Motor("motor_y", 7, servo_model("MX-64"))]
@@ -118,6 +121,7 @@ def test_missing_and_wrong_servos_are_told_with_what_was_found(serve) -> None:
     assert "MX-106 (320)" in str(told.value)
 
 
+@pytest.mark.realtime
 def test_a_port_is_held_by_one_program_only(serve) -> None:
     _, path = serve("MX-64")
     first = bus(path, "MX-64")
@@ -133,6 +137,7 @@ def test_a_missing_port_is_told(tmp_path: Path) -> None:
         bus(str(tmp_path / "nothing"), "MX-64").connect()
 
 
+@pytest.mark.realtime
 def test_one_percent_of_bad_packets_loses_no_reading(serve) -> None:
     testbed, path = serve("MX-64")
     servos = bus(path, "MX-64")
@@ -146,6 +151,7 @@ def test_one_percent_of_bad_packets_loses_no_reading(serve) -> None:
     assert servos.counters.failed == 0
 
 
+@pytest.mark.realtime
 def test_a_silent_bus_raises_and_a_vanished_one_too(serve) -> None:
     testbed, path = serve("MX-64")
     servos = bus(path, "MX-64")
@@ -162,6 +168,7 @@ def test_a_silent_bus_raises_and_a_vanished_one_too(serve) -> None:
 
 
 @pytest.mark.parametrize("model", ["MX-64", "XL330-M288"])
+@pytest.mark.realtime
 def test_an_alarm_switches_torque_off_and_is_told_with_its_bits(serve, model: str) -> None:
     testbed, path = serve(model)
     servos = bus(path, model)

@@ -109,6 +109,7 @@ def test_a_video_file_reads_back_and_is_never_overwritten(tmp_path: Path) -> Non
         assert camera.newest(4, timeout=5.0) is not None
 
 
+@pytest.mark.realtime
 def test_a_camera_survives_its_stream_vanishing_and_says_so() -> None:
     frame = Renderer(PLAIN).render(Scene())
     told: list[str] = []
@@ -125,18 +126,18 @@ def test_a_camera_survives_its_stream_vanishing_and_says_so() -> None:
     try:
         with Camera(streams[0].url, latency=0.02, retry=0.1, told=told.append) as camera:
             before = time.time()
-            shot = camera.newest(timeout=20.0)
+            shot = camera.newest(timeout=90.0)
             assert shot is not None
             assert shot.image.shape == (360, 640, 3)
             assert before - 0.5 < shot.stamp < time.time() - 0.02
             streams[0].close()
-            deadline = time.monotonic() + 20
+            deadline = time.monotonic() + 90
             while camera.state.connected and time.monotonic() < deadline:
                 time.sleep(0.02)
             assert not camera.state.connected
             lost_at = camera.state.frames
             streams.append(VideoStream(port))
-            back = camera.newest(lost_at, timeout=20.0)
+            back = camera.newest(lost_at, timeout=90.0)
             assert back is not None
             assert back.number > lost_at
             assert camera.state.losses == 1

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all tests share: ROS domains of their own, and a second try for tests that run against real time."""
+
+import os
+from collections.abc import Iterator
+from itertools import count
+
+import pytest
+
+RERUNS = 2
+_failed = pytest.StashKey[bool]()
+_firsts = count(os.getpid())
+
+
+def _domain() -> Iterator[int]:
+    from eps_tunnel_analysis.nodes.domain import own_domain
+
+    # Another one each time: what a killed node said may still linger on the last.
+    with own_domain(next(_firsts)) as domain:
+        yield domain
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A ROS_DOMAIN_ID that no other test on this machine has, for one test."""
+    yield from _domain()
+
+
+@pytest.fixture(scope="module")
+def module_domain() -> Iterator[int]:
+    """A ROS_DOMAIN_ID that no other test on this machine has, for the tests of a file."""
+    yield from _domain()
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.option.usepdb or not config.pluginmanager.hasplugin("rerunfailures"):
+        return
+    for item in items:
+        if item.get_closest_marker("realtime"):
+            item.add_marker(pytest.mark.flaky(reruns=RERUNS))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    report = yield
+    item.stash[_failed] = report.failed or (call.when != "setup" and item.stash.get(_failed, False))
+    return report
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """After a failure the processes of a file's fixtures are in an unknown state: they are ended, and begun anew."""
+    if item.get_closest_marker("realtime") and item.stash.get(_failed, False):
+        item.session._setupstate.teardown_exact(item.session)
