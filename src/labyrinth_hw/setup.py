@@ -36,7 +36,7 @@ setup(
         *tree(HERE / "launch", "share/labyrinth_hw/launch"),
         *(entry for kind in ("testbed", "hw") for entry in tree(CONFIG / kind, f"share/labyrinth_hw/config/{kind}")),
     ],
-    install_requires=["dynamixel-sdk", "numpy", "opencv-python-headless", "pyserial", "pyyaml", "tqdm"],
+    install_requires=["dynamixel-sdk", "numpy", "opencv-python-headless", "pyserial", "pyyaml", "rosbags", "tqdm"],
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="The maintainers",

@@ -41,7 +41,7 @@ setup(
             for entry in tree(CONFIG / kind, f"share/labyrinth_sim/config/{kind}")
         ),
     ],
-    install_requires=["mujoco", "numpy", "pyyaml", "scipy"],
+    install_requires=["mujoco", "numpy", "opencv-python-headless", "pyyaml", "scipy"],
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="The maintainers",
