@@ -214,11 +214,13 @@ def test_progress_is_told_phase_by_phase(run: Any) -> None:
 
 
 def test_the_live_figures_at_the_end_are_those_of_the_bags(rigs: Rigs, run: Any) -> None:
-    samples = len(read_trials(run[0].bags[:1]).trials.time)
-    live = rigs.until(lambda: rigs.srg and (rigs.srg[-1].trials, rigs.srg[-1].samples) == (2, samples) and rigs.srg[-1])
-    real, sim = (read_trials([bag], signals=live.signals).trials for bag in run[0].bags)
+    signals = rigs.until(lambda: rigs.srg and rigs.srg[-1].signals)
+    real, sim = (read_trials([bag], signals=signals).trials for bag in run[0].bags)
     offline = compare(real, sim)
     assert real.count == 2
+    whole = (real.count, len(real.time))
+    live = rigs.until(lambda: rigs.srg and (rigs.srg[-1].trials, rigs.srg[-1].samples) == whole and rigs.srg[-1])
+    assert live.signals == signals
     assert set(live.signals) >= {"motor_x", "motor_y", "board_x", "board_y"}
     table = np.array(live.alikeness).reshape(len(live.signals), len(live.k))
     for row, name in enumerate(live.signals):
