@@ -3,14 +3,15 @@
 
 import hmac
 import ipaddress
+import re
 import secrets
 import socket
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 TOKEN_BYTES = 18
 SHORTEST_TOKEN = 12  # characters
+_HOST = re.compile(r"(?P<name>[a-z0-9.-]+|\[[0-9a-f:.]+\])(:(?P<port>\d{1,5}))?")
 
 
 def is_loopback(host: str) -> bool:
@@ -46,13 +47,10 @@ class Access:
         A name that somebody else made to point at this machine (DNS rebinding) is none of ours, so that its pages
         cannot read this one.
         """
-        parts = urlsplit(f"//{header}")
-        try:
-            name, port = (parts.hostname or "").lower(), parts.port or 80
-        except ValueError:
+        parts = _HOST.fullmatch(header.lower())
+        if parts is None or int(parts["port"] or 80) != self.port:
             return False
-        if port != self.port:
-            return False
+        name = parts["name"].strip("[]")
         if is_loopback(self.host):
             return name in LOOPBACK_NAMES or name == self.host.strip("[]")
         return name in LOOPBACK_NAMES or _is_address(name) or name in _own_names()

@@ -108,8 +108,9 @@ class Live(Guarded, tornado.websocket.WebSocketHandler):
         return self.access.knows_origin(origin, self.request.host)
 
     async def get(self, *args: Any, **kwargs: Any) -> None:
-        if "Origin" not in self.request.headers:  # tornado asks only those that tell one
-            raise tornado.web.HTTPError(403, reason="A page must tell its origin")
+        # Not left to `check_origin`: tornado asks it only where it takes a request to be of another site.
+        if not self.access.knows_origin(self.request.headers.get("Origin"), self.request.host):
+            raise tornado.web.HTTPError(403, reason="Only the page served here may connect")
         await super().get(*args, **kwargs)
 
     def open(self, *_: str, **__: str) -> None:

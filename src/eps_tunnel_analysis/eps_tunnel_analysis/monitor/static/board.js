@@ -12,7 +12,9 @@ export function drawBoard(rig, scene, inside) {
   if (rig && scene) drawAngles(rig, scene, inside);
   if (canvas.hidden || !scene) return;
   const { size, walls, holes, hole_radius: hole, ball_radius: ball } = rig.floor, edge = 0.01;
-  const shown = canvas.parentElement.clientWidth - 34, scale = Math.min(shown, 620) / (size[0] + 2 * edge);
+  const shown = canvas.parentElement.clientWidth - 34;
+  if (shown <= 0) return; // not laid out yet
+  const scale = Math.min(shown, 620) / (size[0] + 2 * edge);
   const [context, width] = cleared(canvas, (size[1] + 2 * edge) * scale);
   const left = (width - size[0] * scale) / 2;
   const X = (x) => left + x * scale, Y = (y) => (size[1] + edge - y) * scale;
@@ -22,6 +24,8 @@ export function drawBoard(rig, scene, inside) {
   for (const [x, y] of holes) disc(context, X(x), Y(y), hole * scale);
   context.fillStyle = colour("wall");
   for (const [x0, x1, y0, y1] of walls) context.fillRect(X(x0), Y(y1), (x1 - x0) * scale, (y1 - y0) * scale);
+  const unseen = ["real", "sim"].filter((side) => scene[side] && !scene[side].ball);
+  document.getElementById("balls").textContent = unseen.length ? `Ball not seen: ${unseen.map((side) => (side === "real" ? "real" : "simulated")).join(", ")}.` : "";
   for (const side of ["sim", "real"]) {
     const pose = scene[side], stroke = colour(side);
     if (pose && pose.ball) {

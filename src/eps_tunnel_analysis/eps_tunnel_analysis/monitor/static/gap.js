@@ -12,9 +12,9 @@ export function drawGap(gap, before, staircase, anew = false) {
   const joint = gap.joint[0];
   document.getElementById("joint").textContent = percent(joint);
   document.getElementById("joint-what").textContent =
-    `of ${gap.samples} samples are alike in all of ${gap.signals.length} signals at k = ${gap.ks[0]}; ${gap.trials} real trial${gap.trials === 1 ? "" : "s"}, model ${gap.model || "unknown"}`;
+    `of ${gap.samples} samples are alike in all ${gap.signals.length} signals at k = ${gap.ks[0]}: ${gap.model || "the model"} against ${gap.trials} real trial${gap.trials === 1 ? "" : "s"}`;
   const older = before && before.model !== gap.model ? before : null;
-  document.getElementById("joint-before").textContent = older ? `${percent(older.joint[0])} with ${older.model} before` : "";
+  document.getElementById("joint-before").textContent = older ? `before, with ${older.model}: ${percent(older.joint[0])}` : "";
   const rows = [...gap.shares, gap.joint];
   const data = [gap.ks, ...rows.map((row) => row.map((v) => (v === null ? null : 100 * v))),
     gap.ks.map((k) => { const i = older ? older.ks.indexOf(k) : -1; return i < 0 || older.joint[i] === null ? null : 100 * older.joint[i]; })];
@@ -24,7 +24,7 @@ export function drawGap(gap, before, staircase, anew = false) {
     shape = now;
     if (chart) chart.destroy();
     chart = new uPlot({
-      width: target.clientWidth, height: 160, cursor: { show: false }, legend: { show: false }, padding: [8, 8, 0, 0],
+      width: target.clientWidth, height: 160, cursor: { show: false }, legend: { show: false }, padding: [8, 16, 0, 0],
       scales: { x: { time: false, range: (u, low, high) => [low, high === low ? low + 1 : high] }, y: { range: [0, 102] } },
       axes: [{ ...AXIS(), splits: () => gap.ks, values: (u, ks) => ks.map((k) => `k = ${k}`), size: 26 },
         { ...AXIS(), values: (u, all) => all.map((v) => `${v} %`), size: 44 }],

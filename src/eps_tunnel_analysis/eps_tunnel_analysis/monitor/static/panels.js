@@ -75,8 +75,8 @@ export function showVerdict(told) {
   const more = element("verdict-more"), degrees = (v) => (v === null ? "–" : `${(v * 180 / Math.PI).toFixed(3)} deg`);
   const [given, refitted, after] = told.held_out;
   const lines = [`Error on samples kept from the fit: ${degrees(given)} as given, ${degrees(refitted)} with values refitted${told.effects.length ? `, ${degrees(after)} with the effect` : ""}.`];
-  const joint = told.where.filter(([signal]) => signal === "jointly"), where = (joint.length ? joint : told.where).slice(0, 6);
-  if (where.length) lines.push(`Outside the tunnel, values refitted: ${where.map(([, start, end]) => `${start.toFixed(2)}–${end.toFixed(2)} s`).join(", ")}.`);
+  const where = told.where.filter(([signal]) => signal !== "jointly").sort((a, b) => (b[2] - b[1]) - (a[2] - a[1])).slice(0, 3);
+  if (where.length) lines.push(`Longest outside the tunnel, values refitted: ${where.map(([signal, start, end]) => `${signal} ${start.toFixed(2)} to ${end.toFixed(2)} s`).join(", ")}.`);
   if (told.next_experiment) lines.push("Next: play the proposed sequence, the first in the list.");
   more.replaceChildren(...[...lines, ...told.notes].map((line) => make("p", line)));
   if (told.report) {

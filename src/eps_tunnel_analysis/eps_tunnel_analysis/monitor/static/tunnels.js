@@ -72,27 +72,29 @@ export class Tunnels {
   }
 
   make() {
-    const place = document.getElementById("tunnels");
-    this.shares = [];
-    this.signals.forEach((name, s) => {
-      const box = document.createElement("div"), head = document.createElement("div"), title = document.createElement("b"), share = document.createElement("span");
-      const unit = unitOf(name)[0];
-      head.className = "name"; title.textContent = `${name}, ${unit}`;
-      head.append(title, share); box.append(head); place.append(box);
-      this.shares.push(share);
-      this.charts.push(new uPlot({
-        width: box.clientWidth, height: HEIGHT, cursor: { show: false }, legend: { show: false }, padding: [6, 6, 0, 0],
-        scales: { x: { time: false, range: () => [0, Math.max(this.duration, this.columns[s][0].length * this.step)] },
-          y: { range: (u, low, high) => { const pad = 0.08 * Math.max(high - low, 0.2); return [low - pad, high + pad]; } } },
-        axes: [{ ...AXIS(), values: (u, all) => all.map((t) => `${t} s`), size: 24 }, { ...AXIS(), size: 40 }],
-        bands: [{ series: [1, 2], fill: colour("tunnel") }],
-        series: [{}, { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } },
-          { stroke: colour("real"), width: 1.2, points: { show: false } },
-          { stroke: colour("before"), width: 1.2, dash: [5, 4], points: { show: false } },
-          { stroke: colour("sim"), width: 1.8, points: { show: false } }],
-        hooks: { drawClear: [(u) => this.drawOutside(u, s)] },
-      }, [[], [], [], [], [], []], box));
+    // All boxes first: how wide one is depends on how many there are.
+    const boxes = this.signals.map((name) => {
+      const [box, head, title, share] = ["div", "div", "b", "span"].map((tag) => document.createElement(tag));
+      head.className = "name"; title.textContent = `${name}, ${unitOf(name)[0]}`;
+      head.append(title, share); box.append(head);
+      return box;
     });
+    document.getElementById("tunnels").replaceChildren(...boxes);
+    this.shares = boxes.map((box) => box.firstElementChild.lastElementChild);
+    this.charts = boxes.map((box, s) => new uPlot({
+      width: box.clientWidth, height: HEIGHT, cursor: { show: false }, legend: { show: false }, padding: [6, 14, 0, 0],
+      scales: {
+        x: { time: false, range: () => [0, Math.max(this.duration, this.columns[s][0].length * this.step)] },
+        y: { range: (u, low, high) => { const pad = 0.08 * Math.max(high - low, 0.2); return [low - pad, high + pad]; } },
+      },
+      axes: [{ ...AXIS(), values: (u, all) => all.map((t) => `${t} s`), size: 24 }, { ...AXIS(), size: 40 }],
+      bands: [{ series: [1, 2], fill: colour("tunnel") }],
+      series: [{}, { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } },
+        { stroke: colour("real"), width: 1.2, points: { show: false } },
+        { stroke: colour("before"), width: 1.2, dash: [5, 4], points: { show: false } },
+        { stroke: colour("sim"), width: 1.8, points: { show: false } }],
+      hooks: { drawClear: [(u) => this.drawOutside(u, s)] },
+    }, [[], [], [], [], [], []], box));
   }
 
   // Runs of samples outside as [first, last row, newest time].
