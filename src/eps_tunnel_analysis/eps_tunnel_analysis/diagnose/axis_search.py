@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
 from eps_tunnel_analysis.diagnose.noise import noise_floor
@@ -19,6 +20,7 @@ from eps_tunnel_analysis.fit.free import by_axis, default_free
 from eps_tunnel_analysis.fit.objective import Objective, middle
 from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.tunnel import build_tunnel
+from labyrinth_sim.effect import rivals
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
@@ -31,6 +33,9 @@ SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
 SETTLED = 0.25  # s after which a motion is steady again
 EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves
 EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
+BASE_LOOKS = 64  # values of the base tried before it is descended, and
+BASE_STARTS = 5  # how many of them are descended
+NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 SHORTLIST = 12  # candidates refitted from their looks
 LOOKS_EACH = 2
 ROUNDS = 6
@@ -164,8 +169,28 @@ def kept_samples(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool
 
 
 def base_refit(search: Search, rounds: int = 8) -> Refit:
-    """The base values alone, from where the model has them."""
-    coarse = search.refit([((), search.start)], rounds)[0]
+    """The base values alone: descended from where the model has them and from the best of many others."""
+    size = len(search.library.base)
+    drawn = qmc.Sobol(size, rng=0, scramble=True).random(BASE_LOOKS) if size else np.empty((0, 0))
+    span = (search.high - search.low)[:size]
+    points = np.tile(search.start, (len(drawn) + 1, 1))
+    near = len(drawn) // 2
+    points[1 : near + 1, :size] += (drawn[:near] - 0.5) * NEAR * span
+    points[near + 1 :, :size] = search.low[:size] + drawn[near:] * span
+    points = np.clip(points, search.low, search.high)
+    cost = np.mean(search.residuals(points)[:, ~search.kept] ** 2, axis=1)
+    cost[0] = -1.0  # what the model says is tried in any case
+    best = np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable")[:BASE_STARTS]
+    return base_from(search, [points[i] for i in best], rounds)
+
+
+def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit:
+    """The base values alone, descended from (K,) values whose effects do not count."""
+    size = len(search.library.base)
+    starts = [np.concatenate([point[:size], search.start[size:]]) for point in points]
+    early = search.refit([((), point) for point in starts], max(1, rounds // 2))
+    lowest = min(early, key=lambda r: r.cost)
+    coarse = search.refit([((), lowest.values)], rounds)[0]
     found = search.refit([((), coarse.values)], rounds, fine=True)[0]
     search.settle_at(found)
     return found
@@ -190,3 +215,26 @@ def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST) -> list[R
         chosen[candidate.name] = count + 1
         jobs.append(((*fitted, candidate), values))
     return search.best_of(jobs, ROUNDS)
+
+
+def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
+    """The refit with each of its effects replaced by those that it is mistaken for, where that was not tried yet."""
+    known = {frozenset(r.effects) for r in tried}
+    jobs: list[tuple[tuple[Candidate, ...], np.ndarray]] = []
+    for name in best.effects:
+        others = tuple(search.library.find(n) for n in best.effects if n != name)
+        mistaken = rivals(name.partition(".")[0])
+        candidates = [c for c in search.library.candidates if c.effect.name in mistaken and c.name not in best.effects
+                      and frozenset([*(o.name for o in others), c.name]) not in known]  # fmt: skip
+        if not candidates:
+            continue
+        without = best.values.copy()
+        columns = search.columns(search.library.find(name))
+        without[columns] = search.start[columns]
+        rest = replace(search.at(without, best), effects=tuple(o.name for o in others))
+        count: dict[str, int] = {}
+        for candidate, values, _ in search.looks([rest], candidates):
+            count[candidate.name] = count.get(candidate.name, 0) + 1
+            if count[candidate.name] <= LOOKS_EACH:
+                jobs.append(((*others, candidate), values))
+    return search.best_of(jobs, ROUNDS) if jobs else []

@@ -9,7 +9,9 @@ class Calibration:
     """Attributes:
     clean: share of the gate below which an axis needs no candidates.
     gate: mean square, in units of the noise floor, that a complete model leaves at most.
-    left_over: share of the base's mean square that the right effect may leave, for no model of it is exact.
+    left_over: share of the base's mean square that the right effect may leave too, for no model of it is exact.
+    second: of what may be left, the share that one more effect must not leave to be named too.
+    odd: probability that something unknown is missing where trials drift or are timed unevenly.
     gain: relative gain (logarithm) that candidates reach where nothing is missing.
     gain_weight: how a gain beyond it counts against completeness, beside the level itself.
     none_width, unknown_width: of the logistic transitions, in logarithms of the mean square.
@@ -19,10 +21,12 @@ class Calibration:
     """
 
     gate: float = 1.2
-    left_over: float = 0.04
-    clean: float = 0.85
-    gain: float = 0.2
-    gain_weight: float = 1.0
+    left_over: float = 0.1
+    second: float = 0.4
+    odd: float = 0.97
+    clean: float = 0.8
+    gain: float = 0.06
+    gain_weight: float = 2.0
     none_width: float = 0.08
     unknown_width: float = 0.15
     temperature: float = 2.0

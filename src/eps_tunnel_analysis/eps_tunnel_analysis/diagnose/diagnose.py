@@ -2,27 +2,19 @@
 """The diagnosis: recordings and a model in, a verdict with its evidence out."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.compare import Comparison, compare
-from eps_tunnel_analysis.diagnose.axis_search import (
-    BLOCK,
-    KEEP_EVERY,
-    AxisPart,
-    axis_parts,
-    axis_search,
-    base_refit,
-    next_refits,
-)
+from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis
+from eps_tunnel_analysis.diagnose.axis_search import BLOCK, KEEP_EVERY, AxisPart, axis_parts
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
-from eps_tunnel_analysis.diagnose.gate import allowed, gate
-from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, joint, penalty, rank
-from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.rank import joint
+from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
 from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.rollout import roll_out
@@ -32,36 +24,7 @@ from labyrinth_sim.trials import Array, Trials
 
 KS = (1.0, 2.0, 3.0, 5.0)
 SHORTEST = 0.05  # s, of a span outside the tunnel that is told
-FAR = 4.0  # times what may be left; further away a third effect is not looked for
-MOST_EFFECTS = 3  # named together on one axis
-PAIR_SHORTLIST = 8
 MOVES = 1e-3  # rad; a command that spans less excites nothing
-
-
-@dataclass(frozen=True)
-class AxisDiagnosis:
-    """What was found on one axis: refits of every set tried, the ranking, and what is left.
-
-    Attributes:
-        base, best: residuals before and after; `best` is the base where nothing is named.
-        probabilities: name of a set -> probability, "none" and "unknown" among them.
-    """
-
-    part: AxisPart
-    search: Search
-    base: Refit
-    refits: tuple[Refit, ...]
-    ranking: tuple[Ranked, ...]
-    probabilities: Mapping[str, float]
-
-    @property
-    def best(self) -> Refit:
-        """The most probable refit, whether or not it explains all; the base where that is more probable."""
-        for ranked in self.ranking:
-            for refit in (self.base, *self.refits):
-                if refit.effects == ranked.effects:
-                    return refit
-        return self.base
 
 
 @dataclass(frozen=True)
@@ -82,10 +45,6 @@ class Diagnosis:
     before: Comparison
     after: Comparison
     experiment: Experiment | None
-
-
-Progress = Callable[[str, int], None]
-"""Told what is being done and how many roll-outs were made."""
 
 
 def diagnose(
@@ -119,7 +78,9 @@ def diagnose(
             "No recorded command moves an axis whose position is measured, so no effect can be seen. "
             "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
         )
-    axes = tuple(_axis(model, plays, part, only, nthread, told, (once or {}).get(part.axis, 0.0)) for part in moved)
+    axes = tuple(
+        diagnose_axis(model, plays, part, only, nthread, told, (once or {}).get(part.axis, 0.0)) for part in moved
+    )
     probabilities = joint([axis.probabilities for axis in axes])
     kind, named, stated = decide(probabilities, CALIBRATION.coverage)
     base_model = _with(model, axes, {})
@@ -151,60 +112,6 @@ def diagnose(
         notes=_notes(model, parts, moved, plays, axes),
     )
     return Diagnosis(verdict, axes, base_model, final, given[0], before[0], after[0], experiment)
-
-
-def _axis(
-    model: Model,
-    plays: Sequence[Play],
-    part: AxisPart,
-    only: Sequence[str] | None,
-    nthread: int,
-    told: Progress | None,
-    once: float,
-) -> AxisDiagnosis:
-    search = axis_search(
-        model, plays, part, only, nthread=nthread, told=(lambda n: told(f"axis {part.axis}", n)) if told else None
-    )
-    base = base_refit(search)
-    tried = len(search.library.candidates)
-    refits: list[Refit] = []
-    enough = allowed(max(base.overall, once))
-    if base.overall > allowed(once) * CALIBRATION.clean and tried:
-        refits = next_refits(search, base)
-        best = refits[0] if refits else base
-        while refits and best.overall > enough and len(best.effects) < MOST_EFFECTS:
-            more = next_refits(search, best, PAIR_SHORTLIST)
-            if not more or not _worth(more[0], best, search, tried):
-                break
-            best = _without_idle(search, more[0], refits, tried)
-            refits += [r for r in more if set(r.effects) not in [set(o.effects) for o in refits]]
-            if best is not more[0] or best.overall > FAR * enough:
-                break
-    independent = _independent(search, min(refits, key=lambda r: r.overall) if refits else base)
-    ranking, unknown = rank(base, refits, independent, tried, once)
-    probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
-    return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities)
-
-
-def _worth(more: Refit, best: Refit, search: Search, tried: int) -> bool:
-    """Whether one more effect gains more than it costs."""
-    n = _independent(search, more)
-    pays = penalty(more.free - best.free, 1, n, tried)
-    return 0.5 * n * np.log(best.overall / more.overall) / CALIBRATION.temperature > pays
-
-
-def _without_idle(search: Search, found: Refit, singles: Sequence[Refit], tried: int) -> Refit:
-    """The refit, or a smaller one that does as well: each named effect must be needed."""
-    for name in found.effects[:-1]:
-        rest = tuple(n for n in found.effects if n != name)
-        smaller = next((r for r in singles if set(r.effects) == set(rest)), None)
-        if smaller is not None and not _worth(found, smaller, search, tried):
-            return smaller
-    return found
-
-
-def _independent(search: Search, refit: Refit) -> float:
-    return gate(refit.residuals, search.blocks, np.zeros(len(refit.residuals))).independent
 
 
 def _refit_of(axis: AxisDiagnosis, named: set[str]) -> Refit:
@@ -288,6 +195,7 @@ def _notes(
     for part in parts:
         if part not in moved:
             notes.append(f"No command moves axis {part.axis}: none of its effects can be seen. Play excite_12s.")
+    notes += [odd.sentence for axis in axes for odd in axis.odd]
     for axis in axes:
         torque = {m.signal for m in model.rig.measured if m.quantity == "torque"}
         if not torque & set(axis.part.signals):

@@ -8,20 +8,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
 
+from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import SUFFIXES
 from eps_tunnel_analysis.sequence_shapes import Chirp, Hold, Ramp, Shape, Step, Triangle
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
-
-if TYPE_CHECKING:
-    from eps_tunnel_analysis.diagnose.diagnose import AxisDiagnosis
 
 SHARES = (0.25, 0.5, 0.9)  # of an axis's range
 RANGE = 0.1  # rad, where a rig states no limits
@@ -100,7 +97,7 @@ def _shapes(size: float) -> dict[str, list[Shape]]:
     }  # fmt: skip
 
 
-def next_experiment(axes: "Sequence[AxisDiagnosis]", model: Model, stated: Sequence[str]) -> Experiment | None:
+def next_experiment(axes: Sequence[AxisDiagnosis], model: Model, stated: Sequence[str]) -> Experiment | None:
     """The command on which the rivals of the stated set differ most, on the axis where they do; None without rivals."""
     best: Experiment | None = None
     for axis in axes:

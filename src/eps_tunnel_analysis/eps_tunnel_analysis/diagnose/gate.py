@@ -51,7 +51,7 @@ def gate(residuals: Array, blocks: NDArray[np.int64], commands: Array) -> Gate:
 
 def allowed(base: float) -> float:
     """Mean square that may be left where the base leaves `base`: a strong effect is never matched to the last bit."""
-    return max(CALIBRATION.gate, CALIBRATION.left_over * base)
+    return CALIBRATION.gate + CALIBRATION.left_over * base
 
 
 def unexplained(cost: float, base: float) -> float:

@@ -57,7 +57,12 @@ def penalty(own_values: int, effects: int, independent: float, tried: int) -> fl
 
 
 def rank(
-    base: Refit, refits: Sequence[Refit], independent: float, tried: int, once: float = 0.0
+    base: Refit,
+    refits: Sequence[Refit],
+    independent: float,
+    tried: int,
+    once: float = 0.0,
+    odd: bool = False,
 ) -> tuple[list[Ranked], float]:
     """Probabilities of the base alone, of every refit, and of something unknown.
 
@@ -67,6 +72,7 @@ def rank(
         independent: samples that the residuals are worth.
         tried: number of candidates.
         once: overall cost before effects were added to the base in earlier steps.
+        odd: whether the trials differ from one another as no effect of the library makes them.
 
     Returns:
         The ranking, most probable first, the base among it; and the probability of something unknown.
@@ -80,9 +86,12 @@ def rank(
     scores = np.array([score for _, _, score in found])
     shares = np.exp((scores - scores.max()) / CALIBRATION.temperature) if len(scores) else scores
     shares = shares / shares.sum() if len(scores) else shares
-    lacking = float(
-        sum(s * unexplained(_judged(r), max(_judged(base), once)) for s, (r, _, _) in zip(shares, found, strict=True))
-    )
+    # What changes from trial to trial is missing, whatever else is.
+    repeated = 1.0 - CALIBRATION.odd if odd else 1.0
+    none *= repeated
+    level = max(_judged(base), once)
+    explained = [1.0 - unexplained(_judged(refit), level) for refit, _, _ in found]
+    lacking = 1.0 - repeated * float(np.sum(shares * np.array(explained)))
     ranked = [
         Ranked(
             refit.effects,

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one axis lacks: the course from its base values over single effects to several, and the probabilities."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.axis_search import (
+    BASE_STARTS,
+    AxisPart,
+    axis_search,
+    base_from,
+    base_refit,
+    next_refits,
+    rival_refits,
+)
+from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
+from eps_tunnel_analysis.diagnose.gate import allowed, gate
+from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, penalty, rank
+from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
+from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.plays import Play
+from labyrinth_sim.model import Model
+
+FAR = 4.0  # times what may be left; further away a third effect is not looked for
+MOST_EFFECTS = 3  # named together on one axis
+PAIR_SHORTLIST = 8
+FEWEST_INDEPENDENT = 30.0  # samples; what a model gets wrong is correlated for long, and still tells models apart
+
+Progress = Callable[[str, int], None]
+"""Told what is being done and how many roll-outs were made."""
+
+
+@dataclass(frozen=True)
+class AxisDiagnosis:
+    """What was found on one axis: refits of every set tried, the ranking, and what is left.
+
+    Attributes:
+        base, best: residuals before and after; `best` is the base where nothing is named.
+        probabilities: name of a set -> probability, "none" and "unknown" among them.
+        odd: signals whose trials differ as no effect of the library makes them.
+    """
+
+    part: AxisPart
+    search: Search
+    base: Refit
+    refits: tuple[Refit, ...]
+    ranking: tuple[Ranked, ...]
+    probabilities: Mapping[str, float]
+    odd: tuple[Repeats, ...] = ()
+
+    @property
+    def best(self) -> Refit:
+        """The most probable refit, whether or not it explains all; the base where that is more probable."""
+        for ranked in self.ranking:
+            for refit in (self.base, *self.refits):
+                if refit.effects == ranked.effects:
+                    return refit
+        return self.base
+
+
+def diagnose_axis(
+    model: Model,
+    plays: Sequence[Play],
+    part: AxisPart,
+    only: Sequence[str] | None,
+    nthread: int,
+    told: Progress | None,
+    once: float,
+) -> AxisDiagnosis:
+    """Names what one axis lacks; the arguments are those of `diagnose`, `once` being this axis's."""
+    search = axis_search(
+        model, plays, part, only, nthread=nthread, told=(lambda n: told(f"axis {part.axis}", n)) if told else None
+    )
+    base = base_refit(search)
+    tried = len(search.library.candidates)
+    refits: list[Refit] = []
+    if base.overall > allowed(once) * CALIBRATION.clean and tried:
+        refits = next_refits(search, base)
+        base = _better_base(search, base, refits)
+        best = _lowest([base, *refits])
+        refits += rival_refits(search, best, refits)
+        best = _lowest([base, *refits])
+        while best.overall > CALIBRATION.gate and 0 < len(best.effects) < MOST_EFFECTS:
+            found = next_refits(search, best, PAIR_SHORTLIST)
+            found += rival_refits(search, _lowest(found), [*refits, *found]) if found else []
+            if not found or not _needed(_lowest(found), best, max(base.overall, once), search, tried):
+                break
+            refits += [r for r in found if set(r.effects) not in [set(o.effects) for o in refits]]
+            fuller = _lowest(found)
+            best = _without_idle(search, fuller, refits, tried)
+            if best is not fuller or best.overall > FAR * allowed(max(base.overall, once)):
+                break
+    independent = _independent(search, _lowest([base, *refits]))
+    odd = tuple(r for play in plays for r in repeats(play.trials, _positions(model, part)) if r.sentence)
+    ranking, unknown = rank(base, refits, independent, tried, once, bool(odd))
+    probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
+    return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities, odd)
+
+
+def _lowest(refits: Sequence[Refit]) -> Refit:
+    return min(refits, key=lambda r: (r.overall, len(r.effects)))
+
+
+def _positions(model: Model, part: AxisPart) -> list[str]:
+    return [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
+
+
+def _better_base(search: Search, base: Refit, refits: Sequence[Refit]) -> Refit:
+    """The base from the best refits' base values, if that is lower: an effect must not be named for a better start."""
+    again = base_from(search, [r.values for r in sorted(refits, key=lambda r: r.overall)[:BASE_STARTS]])
+    if again.overall < base.overall:
+        return again
+    search.settle_at(base)
+    return base
+
+
+def _needed(more: Refit, best: Refit, base: float, search: Search, tried: int) -> bool:
+    """Whether one more effect is called for: it pays, and takes away most of what is left where little may be left."""
+    few = best.overall <= allowed(base) and more.overall > CALIBRATION.second * best.overall
+    return not few and _worth(more, best, search, tried)
+
+
+def _worth(more: Refit, best: Refit, search: Search, tried: int) -> bool:
+    """Whether one more effect gains more than it costs."""
+    n = _independent(search, more)
+    pays = penalty(more.free - best.free, 1, n, tried)
+    return 0.5 * n * np.log(best.overall / more.overall) / CALIBRATION.temperature > pays
+
+
+def _without_idle(search: Search, found: Refit, singles: Sequence[Refit], tried: int) -> Refit:
+    """The refit, or a smaller one that does as well: each named effect must be needed."""
+    for name in found.effects[:-1]:
+        rest = tuple(n for n in found.effects if n != name)
+        smaller = next((r for r in singles if set(r.effects) == set(rest)), None)
+        if smaller is not None and not _worth(found, smaller, search, tried):
+            return smaller
+    return found
+
+
+def _independent(search: Search, refit: Refit) -> float:
+    found = gate(refit.residuals, search.blocks, np.zeros(len(refit.residuals))).independent
+    return max(found, FEWEST_INDEPENDENT)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What trials differ by, for that speaks too: no effect of a library changes from trial to trial by itself.
+
+A rig that drifts puts each trial beyond the one before; a rig whose commands or samples come at uneven times differs
+where it moves fast. Both widen the noise floor until a wrong model looks complete.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import nnls
+
+from labyrinth_sim.trials import Array, Trials
+
+FEWEST = 4  # trials; in fewer, three say, one in three goes up or down by chance
+STEADY = 6.0  # slope over its standard error, of a drift
+BEYOND = 10.0  # times what the sensors' noise alone would let the trials' means differ by
+SHARE = 0.4  # of the differences between trials, and
+FOLLOWS = 0.6  # correlation with the squared speed, of uneven timing
+SMOOTH = 9  # samples
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """How the trials of one signal differ.
+
+    Attributes:
+        signal, unit: which.
+        drift: of the trials' means, from the first trial to the last, in the signal's unit; 0 where they scatter.
+        jitter: s, standard deviation of the timing that would explain the differences; 0 where it does not.
+    """
+
+    signal: str
+    unit: str
+    drift: float
+    jitter: float
+
+    @property
+    def sentence(self) -> str:
+        """What was found, in words; empty where the trials repeat."""
+        if self.drift:
+            return (
+                f"{self.signal} drifts from trial to trial, by {self.drift:+.2g} {self.unit} in all: something changes "
+                "with time (warming, slipping), which no effect of the library does. Warm the rig up and record again."
+            )
+        if self.jitter:
+            return (
+                f"{self.signal} differs between trials where it moves fast, as if commands or samples came "
+                f"{1e3 * self.jitter:.0f} ms early or late. Look at the load of the computer and of the bus."
+            )
+        return ""
+
+
+def repeats(trials: Trials, signals: Sequence[str]) -> tuple[Repeats, ...]:
+    """How the trials of these signals differ."""
+    return tuple(_repeats(s, trials.units[trials.index(s)], trials.values[:, :, trials.index(s)], trials.step)
+                 for s in signals)  # fmt: skip
+
+
+def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
+    seen = np.isfinite(values).all(axis=0)
+    values = values[:, seen]
+    if len(values) < FEWEST or values.shape[1] < 10 * SMOOTH:
+        return Repeats(signal, unit, 0.0, 0.0)
+    mean = values.mean(axis=0)
+    offsets = (values - mean).mean(axis=1)
+    rest = values - mean - offsets[:, None]
+    return Repeats(signal, unit, _drift(offsets, rest), _jitter(rest, mean, step))
+
+
+def _drift(offsets: Array, rest: Array) -> float:
+    """(p,) means of trials that go steadily one way, from first to last; 0 where they do not."""
+    at = np.arange(len(offsets)) - 0.5 * (len(offsets) - 1)
+    slope = float(offsets @ at / (at @ at))
+    scatter = np.sqrt(np.sum((offsets - slope * at) ** 2) / (len(offsets) - 2) / (at @ at))
+    white = np.sqrt(0.5 * np.mean(np.diff(rest, axis=1) ** 2) / rest.shape[1])
+    whole = slope * (len(offsets) - 1)
+    one_way = bool(np.all(np.diff(offsets) > 0) or np.all(np.diff(offsets) < 0))
+    return whole if one_way and abs(slope) > STEADY * scatter and abs(whole) > BEYOND * white else 0.0
+
+
+def _jitter(rest: Array, mean: Array, step: float) -> float:
+    """Fits spread = noise + jitter^2 speed^2 over time."""
+    spread = np.mean(rest**2, axis=0) * len(rest) / (len(rest) - 1)
+    squared = np.gradient(uniform_filter1d(mean, 5), step) ** 2
+    if not squared.any() or not spread.any():
+        return 0.0
+    (_, slope), _ = nnls(np.column_stack([np.ones_like(squared), squared]), spread)
+    smooth = [uniform_filter1d(a, SMOOTH) for a in (spread, squared)]
+    follows = np.corrcoef(smooth[0], smooth[1])[0, 1] if all(np.ptp(a) > 0 for a in smooth) else 0.0
+    share = slope * squared.mean() / spread.mean()
+    return float(np.sqrt(slope)) if share > SHARE and follows > FOLLOWS else 0.0
