@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo from end to end. The longest test of all; alone: pytest test/test_demo.py"""
+"""The demo from end to end, with a short sequence and few candidates; alone: pytest test/test_demo.py"""
 
 import json
 import os
 import signal
 import subprocess
 import time
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import pytest
@@ -17,8 +17,24 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 from eps_tunnel_analysis.nodes.processes import executable
 from eps_tunnel_analysis.recording.reader import read
 from eps_tunnel_analysis.sequence_file import find_sequence
+from labyrinth_sim.model import load_model
 
 pytestmark = pytest.mark.realtime
+SHORT = """
+description: Four seconds on one axis.
+initial_deg: {motor_x: 0, motor_y: 0}
+command:
+  motor_x:
+    - hold: {lasts_s: 0.2}
+    - step: {to_deg: 3, lasts_s: 0.5}
+    - step: {to_deg: -3, lasts_s: 0.5}
+    - ramp: {to_deg: 1, lasts_s: 0.8}
+    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
+    - step: {to_deg: 0, lasts_s: 0.4}
+  motor_y:
+    - hold: {lasts_s: 4.0}
+"""
+FEW = ("--candidates", "gravity_load", "return_spring", "sensor_bias")
 BELOW = ("testbed", "hw_node", "sim_node", "analysis_node", "player")
 
 
@@ -42,9 +58,11 @@ def children(parent: int) -> list[int]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
-    """A whole demo of two trials with a hidden effect: its folder and what it printed to stdout and stderr."""
+    """A whole demo of two trials and again two: its folder and what it printed to stdout and stderr."""
     out = tmp_path_factory.mktemp("demo")
-    process = demo(out, "--trials", "2", "--effect", "?")
+    (out / "short.yaml").write_text(SHORT)
+    short = ("--sequence", str(out / "short.yaml"), "--trials", "2")
+    process = demo(out, *short, *FEW, "--effect", "gravity_load.x=strong", "--seed", "3")
     try:
         printed, complaints = process.communicate(timeout=400)
     finally:
@@ -57,12 +75,27 @@ def test_the_demo_prints_the_table_and_the_path_of_the_report(finished: tuple[Pa
     folder, printed, _ = finished
     page = next(line for line in printed.splitlines() if "report.html" in line and line.startswith("Done"))
     path = Path(page.split(": ", 1)[1])
-    assert path == (folder / "gap" / "report.html").resolve()
-    assert "<svg" in path.read_text(encoding="utf-8") or "<img" in path.read_text(encoding="utf-8")
-    assert "Alikeness" in printed
-    for word in ("k = 1", "k = 5", "motor_x", "motor_y", "jointly"):
+    assert path == (folder / "report.html").resolve()
+    told = path.read_text(encoding="utf-8")
+    for word in ("gravity load", "The loop", "Where it failed", "Why", "The gap afterwards"):
+        assert word in told
+    for word in ("Alikeness", "k = 1", "k = 5", "motor_x", "motor_y", "jointly", "Hypotheses", "Before and after"):
         assert word in printed
-    assert "Hidden in the testbed:" in printed
+
+
+def test_the_demo_names_what_it_hid_adds_it_and_the_error_falls(finished: tuple[Path, str, str]) -> None:
+    folder, printed, _ = finished
+    assert "Hidden in the testbed: gravity_load on x (strong). Right." in printed
+    assert "the error fell by" in printed
+    verdict = json.loads((folder / "why" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert (verdict["verdict"], verdict["effects"]) == ("effect", ["gravity_load.x"])
+    assert [use.effect.name for use in load_model(folder / "model.yaml").effects] == ["gravity_load"]
+    before, after = (
+        json.loads((folder / gap / "compare.json").read_text(encoding="utf-8")) for gap in ("gap", "gap_again")
+    )
+    errors = [{e["signal"]: e["command_error"] for e in content["errors"]} for content in (before, after)]
+    assert errors[1]["board_x"] < 0.5 * errors[0]["board_x"]
+    assert "Simulates 'model' now" in (folder / "logs" / "sim_node.log").read_text()
 
 
 def test_without_a_terminal_progress_is_a_line_for_each_phase(finished: tuple[Path, str, str]) -> None:
@@ -75,9 +108,9 @@ def test_without_a_terminal_progress_is_a_line_for_each_phase(finished: tuple[Pa
 
 def test_the_demo_leaves_one_whole_bag_per_side_with_the_trials_marked(finished: tuple[Path, str, str]) -> None:
     folder, _, _ = finished
-    command = find_sequence("paper_8s").commands[0]
-    for side in ("real", "sim"):
-        recording = read(folder / "bags" / f"paper_8s_{side}")
+    command = find_sequence(str(folder.parent / "short.yaml")).commands[0]
+    for play, side in product(("bags", "bags_again"), ("real", "sim")):
+        recording = read(folder / play / f"short_{side}")
         assert recording.closed
         assert recording.metadata["sequence_hash"] == command.hash
         phases = [mark.phase for mark in recording.marks]
@@ -94,13 +127,13 @@ def test_the_report_holds_every_k_and_where_the_model_fails(finished: tuple[Path
     shares = [row["joint"] for row in content["alikeness"]]
     assert shares == sorted(shares)
     assert content["trials_real"] == content["trials_sim"] == 2
-    # The plain model's time constant of a second is far from a servo's: it must be seen to fail.
+    # The board hangs to one side, and the plain model's does not: it must be seen to fail.
     assert content["where_in_words"]
     assert content["spans"]
 
 
 def test_ctrl_c_ends_every_process_and_leaves_whole_bags(tmp_path: Path) -> None:
-    process = demo(tmp_path, "--trials", "4")
+    process = demo(tmp_path)
     try:
         logs = tmp_path / "demo-1" / "logs" / "analysis_node.log"
         deadline = time.monotonic() + 120
@@ -118,7 +151,7 @@ def test_ctrl_c_ends_every_process_and_leaves_whole_bags(tmp_path: Path) -> None
     assert "Interrupted" in complaints
     assert not [pid for pid in started if Path(f"/proc/{pid}").exists()]
     for side in ("real", "sim"):
-        assert read(tmp_path / "demo-1" / "bags" / f"paper_8s_{side}").closed
+        assert read(tmp_path / "demo-1" / "bags" / f"excite_12s_{side}").closed
 
 
 def test_a_process_that_dies_is_named_with_its_last_lines(tmp_path: Path) -> None:
@@ -138,6 +171,7 @@ def test_a_process_that_dies_is_named_with_its_last_lines(tmp_path: Path) -> Non
         (["--sequence", "nothing"], "Unknown sequence 'nothing'"),
         (["--model", "nothing"], "Unknown model 'nothing'"),
         (["--trials", "0"], "expected a whole number of at least 1"),
+        (["--candidates", "nothing"], "Unknown effect 'nothing'"),
     ],
 )
 def test_bad_input_ends_the_demo_with_exit_code_2(tmp_path: Path, options: list[str], told: str) -> None:
@@ -147,3 +181,11 @@ def test_bad_input_ends_the_demo_with_exit_code_2(tmp_path: Path, options: list[
     assert told in complaints
     assert not (tmp_path / "out").exists()
     assert os.listdir(tmp_path) == []
+
+
+def test_an_effect_that_the_testbed_does_not_know_ends_the_demo_with_exit_code_2(tmp_path: Path) -> None:
+    process = demo(tmp_path, "--effect", "friktion")
+    _, complaints = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert "Unknown hidden effect 'friktion'" in complaints
+    assert "coulomb_friction" in complaints

@@ -5,6 +5,7 @@ import argparse
 import json
 import shlex
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,7 +73,7 @@ def run(arguments: argparse.Namespace) -> None:
         json.dump(content, sys.stdout, indent=1, allow_nan=False)
         print()
     else:
-        _print(comparison, sides)
+        print_comparison(comparison, sides.notes)
     if arguments.out:
         report = (arguments.out / "report.html").resolve()
         console(stderr=arguments.json).print(f"Report: {report}", soft_wrap=True)
@@ -82,7 +83,8 @@ def _busy(text: str) -> Any:
     return Console(stderr=True).status(text)  # silent where stderr is no terminal
 
 
-def _print(comparison: "Comparison", sides: Sides) -> None:
+def print_comparison(comparison: "Comparison", notes: Sequence[str]) -> None:
+    """Tables of alikeness and error, where the simulation fails in words, and notes."""
     from eps_tunnel_analysis.shown import shown_share, shown_value
     from eps_tunnel_analysis.where import sentences
 
@@ -117,7 +119,7 @@ def _print(comparison: "Comparison", sides: Sides) -> None:
         out.print("Where it fails", style="bold")
     for sentence in words:
         out.print(f"  {sentence}", soft_wrap=True)
-    for note in (*sides.notes, *comparison.notes):
+    for note in dict.fromkeys((*notes, *comparison.notes)):
         out.print(f"Note: {note}", soft_wrap=True, markup=False)
 
 

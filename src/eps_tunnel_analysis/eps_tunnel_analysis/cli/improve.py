@@ -10,29 +10,44 @@ from typing import Any
 
 from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, load_with_efforts, progress, write_diagnosis
 from eps_tunnel_analysis.cli.folder import new_folder, refuse_existing
+from eps_tunnel_analysis.cli.live_arguments import add_live_arguments, improve_live
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
 from eps_tunnel_analysis.cli.tables import console, table
+from labyrinth_sim.errors import InputError
 
 NAME = "improve"
 HELP = "Adds what is missing, step by step, until the model is complete or nothing known explains what is left."
 EPILOG = """\
-example:
+examples:
   eps-tunnel improve --real bags/real_* --model labyrinth --out better
+  eps-tunnel improve --live --emulated --hide '?' --model labyrinth_manual --out notebook
+  eps-tunnel improve --live --arm --model my_rig --out notebook
 
-files in --out: step_1/, step_2/ ... with diagnosis.json, report.html and model.yaml each, and staircase.json."""
+files in --out: step_1/, step_2/ ... with diagnosis.json, report.html and model.yaml each, and staircase.json;
+with --live notebook.md and what it links to: bags, gaps, diagnoses, models, and staircase.json."""
 MOST_STEPS = 5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_bag_arguments(parser)
+    add_bag_arguments(parser, required=False)
     add_model_arguments(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for every step")
     parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects to consider (default: all)")
     add_diagnosis_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print staircase.json, and nothing else, to stdout")
+    add_live_arguments(parser)
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(arguments: argparse.Namespace) -> int | None:
+    if arguments.live:
+        return improve_live(arguments)
+    if not arguments.real:
+        raise InputError("--real is missing: name the recordings, or play them now by --live.")
+    _improve(arguments)
+    return None
+
+
+def _improve(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.diagnose.diagnose import diagnose
     from labyrinth_sim.model import save_model
 

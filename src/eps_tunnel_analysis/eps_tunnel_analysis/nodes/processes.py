@@ -19,7 +19,11 @@ _PR_SET_PDEATHSIG = 1
 
 
 class ProcessDied(Exception):
-    """A program ended although it should run; the text shows its last lines."""
+    """A program ended although it should run; the text shows its last lines, `code` is its exit code if it has one."""
+
+    def __init__(self, text: str, code: int | None = None) -> None:
+        super().__init__(text)
+        self.code = code
 
 
 def executable(package: str, name: str) -> Path:
@@ -53,7 +57,8 @@ class Processes:
         """Raises ProcessDied when a program is gone."""
         for name, process in self._running.items():
             if process.poll() is not None:
-                raise ProcessDied(f"{name} ended with {_told(process.returncode)}. Its last lines:\n{self.tail(name)}")
+                told = f"{name} ended with {_told(process.returncode)}. Its last lines:\n{self.tail(name)}"
+                raise ProcessDied(told, process.returncode)
 
     def tail(self, name: str, lines: int = 15) -> str:
         """The last lines that a program printed."""

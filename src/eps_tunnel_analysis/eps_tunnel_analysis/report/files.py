@@ -13,13 +13,15 @@ from eps_tunnel_analysis.report.pictures import write_pictures
 
 
 def write_comparison(
-    folder: Path, comparison: Comparison, content: Mapping[str, Any], title: str, facts: Sequence[tuple[str, str]]
-) -> None:
+    folder: Path, comparison: Comparison, content: Mapping[str, Any], title: str, facts: Sequence[tuple[str, str]],
+    pictures: bool = True,
+) -> None:  # fmt: skip
     """Writes into an existing, empty folder.
 
     Args:
         content: what compare.json holds, at least `comparison.to_json()`.
         facts: what was compared, for the end of the report.
+        pictures: as files, too; they take some seconds.
     """
     trials, names = comparison.real.count, comparison.signals
     seconds = comparison.real.time[-1] + comparison.real.step
@@ -33,7 +35,8 @@ def write_comparison(
         rows = content[file]
         _csv(folder / f"{file}.csv", tuple(rows[0]) if rows else ("signal",), (tuple(row.values()) for row in rows))
     _csv(folder / "tunnel.csv", *_tunnel(comparison))
-    write_pictures(comparison, folder)
+    if pictures:
+        write_pictures(comparison, folder)
 
 
 def _tunnel(comparison: Comparison) -> tuple[Sequence[str], Iterable[Sequence[float]]]:

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gap that one play shows, from the bags of both sides."""
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.autonomous.rig import Bags
+from eps_tunnel_analysis.cli.folder import new_folder
+from eps_tunnel_analysis.cli.versions import versions
+from eps_tunnel_analysis.compare import Comparison, compare
+from eps_tunnel_analysis.recording import Recording, read, to_trials
+from eps_tunnel_analysis.report.files import write_comparison
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.rig import Rig
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A play compared.
+
+    Attributes:
+        comparison: of the positions.
+        notes: what was left out.
+    """
+
+    comparison: Comparison
+    notes: tuple[str, ...]
+
+    @property
+    def error(self) -> float:
+        """Equation 10, mean over the signals: rad."""
+        return float(np.nanmean([e.command_error for e in self.comparison.errors]))
+
+    @property
+    def repeats(self) -> float:
+        """What the rig itself does not repeat: RMS about the mean of its trials, mean over the signals; rad."""
+        return float(np.nanmean([e.repeat_rms for e in self.comparison.errors]))
+
+    @property
+    def alikeness(self) -> dict[float, float]:
+        """Joint share of alike samples by k."""
+        return {a.k_real: a.joint for a in self.comparison.alikeness}
+
+
+def measure_gap(bags: Bags, rig: Rig, ks: Sequence[float] = KS) -> Gap:
+    """Compares the measured positions of both sides.
+
+    Signals that were not measured throughout every trial, as on a machine that was too busy, are left out and told.
+
+    Raises:
+        InputError: unreadable bags, or no signal left.
+    """
+    real, sim = ([read(path) for path in paths] for paths in (bags.real, bags.sim))
+    names, notes = _throughout([*real, *sim], rig)
+    comparison = compare(to_trials(real, rig, signals=names).trials, to_trials(sim, rig, signals=names).trials, ks)
+    return Gap(comparison, (*notes, *comparison.notes))
+
+
+def write_gap(gap: Gap, bags: Bags, folder: Path, title: str) -> None:
+    """Report and tables, as `compare` writes them, into a new folder."""
+    command = ["eps-tunnel", "compare", "--real", *map(str, bags.real), "--sim", *map(str, bags.sim)]
+    facts = [
+        *(("real bag", str(bag)) for bag in bags.real),
+        *(("simulated bag", str(bag)) for bag in bags.sim),
+        *(("note", note) for note in gap.notes),
+        ("command", shlex.join(command)),
+        ("versions", ", ".join(f"{name} {v}" for name, v in versions().items())),
+        ("made", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),
+    ]
+    sources = [[kind, value] for kind, value in facts if kind.endswith("bag")]
+    content = {"command": "compare", "versions": versions(), "sources": sources, **gap.comparison.to_json()}
+    content["notes"] = list(gap.notes)
+    with new_folder(folder) as partial:
+        write_comparison(partial, gap.comparison, content, title, facts, pictures=False)
+
+
+def _throughout(recordings: Sequence[Recording], rig: Rig) -> tuple[list[str], list[str]]:
+    """The positions measured throughout, and what is said of the others."""
+    left_out: dict[str, str] = {}
+    names = [m.signal for m in rig.measured if m.quantity == "position"]
+    for name in names:
+        for recording in recordings:
+            try:
+                to_trials([recording], rig, signals=[name])
+            except InputError as error:
+                left_out[name] = f"{name} is left out. {error}"
+    if len(left_out) == len(names):
+        raise InputError(list(left_out.values()))
+    return [name for name in names if name not in left_out], list(left_out.values())

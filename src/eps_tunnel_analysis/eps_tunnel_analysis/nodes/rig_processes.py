@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated rig, its simulation, the analysis and the player as child processes on a ROS domain of their own."""
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eps_tunnel_analysis.nodes.domain import own_domain
+from eps_tunnel_analysis.nodes.processes import ProcessDied, Processes, executable
+from labyrinth_sim.errors import InputError
+
+START_TIMEOUT = 40.0  # s
+DRAW = "?"
+
+
+@dataclass(frozen=True)
+class EmulatedRig:
+    """What is emulated.
+
+    Attributes:
+        testbed, hw: names or paths of config/testbed and config/hw files.
+        hidden: effects hidden in it beside those of the file, `NAME[.AXIS][=STRENGTH]`; "?" draws one.
+        seed: of its noise, and of the draw.
+    """
+
+    testbed: str = "healthy"
+    hw: str = "healthy"
+    hidden: tuple[str, ...] = ()
+    seed: int = 1
+
+
+@contextmanager
+def rig_processes(rig: EmulatedRig, model: str, folder: Path) -> Iterator[Processes]:
+    """Runs testbed, hw_node, sim_node, analysis_node and player until the end of the block.
+
+    This process joins their domain: its own nodes see them and no other rig hears it.
+
+    Args:
+        model: of the simulation, a name or a path.
+        folder: receives logs/ and hidden.json, what the testbed hides.
+
+    Raises:
+        InputError: the testbed refuses what it was given.
+        ProcessDied: it ended for another reason.
+    """
+    logs = folder / "logs"
+    logs.mkdir()
+    with own_domain() as domain, tempfile.TemporaryDirectory(prefix="eps_tunnel_ports_") as ports:
+        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        environment = {**os.environ, "XDG_RUNTIME_DIR": ports, "PYTHONUNBUFFERED": "1"}
+        with Processes(logs, environment) as processes:
+            given = ["--config", rig.testbed, "--seed", str(rig.seed), "--reveal", str(folder / "hidden.json")]
+            given += [part for name in rig.hidden for part in (["--draw"] if name == DRAW else ["--effect", name])]
+            processes.start("testbed", [executable("labyrinth_hw", "testbed"), *given])
+            _wait_for_ports(Path(ports), processes)
+            processes.start("hw_node", [executable("labyrinth_hw", "hw_node"), *_parameters(config=rig.hw)])
+            processes.start("sim_node", [executable("labyrinth_sim", "sim_node"), *_parameters(model=model)])
+            processes.start("analysis_node", [executable("eps_tunnel_analysis", "analysis_node")])
+            # A busy machine may leave a node waiting for a while; a rig that is gone stays silent for longer.
+            patience = _parameters(connect_timeout=START_TIMEOUT, silence_timeout=3.0, stall_timeout=0.3)
+            processes.start("player", [executable("eps_tunnel_analysis", "player"), *patience])
+            yield processes
+
+
+def hidden_in(folder: Path) -> list[dict[str, Any]]:
+    """What the testbed hid beyond its ordinary faults: effect, axis, strength, values of each."""
+    path = folder / "hidden.json"
+    found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["hidden"] if path.exists() else []
+    return found
+
+
+def _wait_for_ports(folder: Path, processes: Processes) -> None:
+    deadline = time.monotonic() + START_TIMEOUT
+    while len(list(folder.rglob("*"))) < 3:  # the folder of links, servos, sensors
+        try:
+            processes.check()
+        except ProcessDied as died:
+            if died.code == 2:
+                raise InputError(processes.tail("testbed").strip()) from died
+            raise
+        if time.monotonic() > deadline:
+            raise ProcessDied(f"the testbed opened no ports. Its last lines:\n{processes.tail('testbed')}")
+        time.sleep(0.05)
+
+
+def _parameters(**values: object) -> list[str]:
+    return ["--ros-args", *(part for name, value in values.items() for part in ("-p", f"{name}:={value}"))]

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The experimenter's loop on an emulated rig that needs no real time: same physics, bags and models, no clock."""
+
+import json
+import re
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_tunnel_analysis.autonomous.experimenter import Ending, Experimenter, Plan
+from eps_tunnel_analysis.autonomous.notebook import Notebook
+from eps_tunnel_analysis.autonomous.reason import Search
+from eps_tunnel_analysis.autonomous.rig import Bags, RigFailed
+from eps_tunnel_analysis.autonomous.truth import judged
+from eps_tunnel_analysis.sequence_file import find_sequence
+from labyrinth_hw.testbed.bags import write_bag
+from labyrinth_hw.testbed.hidden import load_testbed, parse_effect
+from labyrinth_hw.testbed.offline import Run, run_offline
+from labyrinth_sim.model import load_model
+from labyrinth_sim.simulate import simulate
+
+SHORT = """
+initial_deg: {motor_x: 0, motor_y: 0}
+command:
+  motor_x:
+    - hold: {lasts_s: 0.2}
+    - step: {to_deg: 3, lasts_s: 0.5}
+    - step: {to_deg: -3, lasts_s: 0.5}
+    - ramp: {to_deg: 1, lasts_s: 0.8}
+    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
+    - step: {to_deg: 0, lasts_s: 0.4}
+  motor_y:
+    - hold: {lasts_s: 4.0}
+"""
+FEW = ("gravity_load", "return_spring", "coulomb_friction", "sensor_delay")
+LIMIT = np.radians(5.0)
+
+
+class OfflineRig:
+    """The emulated rig and its simulation, stepped as fast as they can be."""
+
+    def __init__(self, *effects: str, model: str = "labyrinth_manual", breaks_at: int = 0) -> None:
+        rig = load_testbed("healthy")
+        reality = rig.reality
+        for effect in effects:
+            reality = parse_effect(effect).applied(reality)
+        self._config, self._model = replace(rig, reality=reality), load_model(model)
+        self._breaks_at = breaks_at
+        self.played: list[str] = []
+        self.loaded: list[str] = []
+        self.told: list[str] = []
+
+    def play(self, sequence: str, trials: int, folder: Path) -> Bags:
+        self.played.append(sequence)
+        if len(self.played) == self._breaks_at:
+            raise KeyboardInterrupt
+        command = find_sequence(sequence).commands[0]
+        assert max(np.abs(command.sample(100.0)[1]).max(axis=0)) <= LIMIT
+        time, targets = command.sample(100.0)
+        real = run_offline(self._config, time, targets, trials, len(self.played))
+        simulated = simulate(self._model, time, targets, {})
+        names = [[f"{part}_{axis}" for axis in "xy"] for part in ("motor", "board")]
+        motor, board = (
+            np.stack([simulated.values[..., simulated.index(n)] for n in pair], axis=-1)[:1] for pair in names
+        )
+        sim = Run(time[None], motor, 0 * motor, 0 * motor, board, time, targets, None, np.array([-1]))
+        bags = [write_bag(folder / f"{command.name}_{side}", run, command.name, command.hash, f"/{side}")
+                for side, run in (("real", real), ("sim", sim))]  # fmt: skip
+        return Bags((bags[0],), (bags[1],))
+
+    def load(self, model: Path) -> None:
+        self._model = load_model(model)
+        self.loaded.append(model.name)
+
+    def limit(self) -> float:
+        return float(LIMIT)
+
+    def tell(self, content: Mapping[str, Any], report: Path) -> None:
+        assert report.exists()
+        self.told.append(content["verdict"])
+
+
+def ended(rig: OfflineRig, folder: Path, candidates: tuple[str, ...] = FEW, **plan: Any) -> Ending:
+    (folder / "short.yaml").write_text(SHORT)
+    given = Plan("labyrinth_manual", str(folder / "short.yaml"), 3, search=Search(candidates), **plan)
+    notebook = Notebook(folder, "Test")
+    return Experimenter(rig, given, folder, notebook, lambda _: None, lambda: nullcontext(None)).run()
+
+
+def notebook(folder: Path) -> str:
+    """The notebook's text; every file that it links to must be there."""
+    text = (folder / "notebook.md").read_text()
+    for file in re.findall(r"\]\(([^)]+)\)", text):
+        assert (folder / file).exists(), file
+    return text
+
+
+def test_a_hidden_effect_is_added_and_the_loop_ends_at_the_noise(tmp_path: Path) -> None:
+    rig = OfflineRig("gravity_load.x=medium")
+    ending = ended(rig, tmp_path)
+    assert (ending.verdict, ending.effects) == ("complete", ("gravity_load.x",))
+    assert rig.told == ["effect", "complete"]
+    assert rig.loaded == ["model_1.yaml", "model_2.yaml"]
+    assert [use.effect.name for use in load_model(ending.model).effects] == ["gravity_load"]
+    before, after = (gap.error for _, gap in ending.steps)
+    assert after < 0.5 * before
+    text = notebook(tmp_path)
+    headings = re.findall(r"^## \d+\. (.*)$", text, re.MULTILINE)
+    assert [h.split(":")[0].split(" ")[0] for h in headings] == [
+        "Played", "Diagnosis", "Added", "Played", "Diagnosis", "The"
+    ]  # fmt: skip
+    assert text.count(".png)") >= 6
+    assert json.loads((tmp_path / "staircase.json").read_text())["verdict"] == "complete"
+
+
+def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_picture(tmp_path: Path) -> None:
+    ending = ended(OfflineRig("cogging.x=strong"), tmp_path)
+    assert (ending.verdict, ending.effects) == ("unknown", ())
+    assert "what no known effect explains" in notebook(tmp_path)
+
+
+def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:
+    rig = OfflineRig("coulomb_friction.x=medium")
+    ending = ended(rig, tmp_path, ("coulomb_friction", "stribeck_friction"))
+    assert rig.told[0] == "undecided", "choose rivals that the short sequence does not tell apart"
+    proposed = json.loads((tmp_path / "diagnosis_1" / "diagnosis.json").read_text())["next_experiment"]
+    assert Path(rig.played[1]).stem == proposed
+    assert (tmp_path / f"{proposed}.yaml").exists()
+    assert "it decides" in notebook(tmp_path)
+    both = json.loads((tmp_path / "diagnosis_2" / "diagnosis.json").read_text())["sources"]
+    assert len(both) == 2
+    assert ending.verdict in ("complete", "undecided")
+
+
+def test_the_step_limit_ends_the_loop(tmp_path: Path) -> None:
+    rig = OfflineRig("gravity_load.x=strong")
+    ending = ended(rig, tmp_path, ("gravity_load",), most_steps=0)
+    assert (ending.verdict, ending.effects, len(ending.steps)) == ("step limit", (), 1)
+    assert load_model(ending.model).effects == ()
+
+
+def test_ctrl_c_leaves_the_notebook_whole(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        ended(OfflineRig("gravity_load.x=medium", breaks_at=2), tmp_path)
+    text = notebook(tmp_path)
+    assert "gravity load" in text
+    assert "Interrupted" in text
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_rig_that_fails_is_written_down(tmp_path: Path) -> None:
+    class Broken(OfflineRig):
+        def play(self, sequence: str, trials: int, folder: Path) -> Bags:
+            raise RigFailed("the belt came off")
+
+    with pytest.raises(RigFailed):
+        ended(Broken(), tmp_path)
+    assert "the belt came off" in notebook(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("axis", "known", "effects", "verdict", "stated", "said"),
+    [
+        ("x", True, ["backlash.x"], "complete", ["none"], "Right."),
+        ("x", True, ["backlash.y"], "complete", ["none"], "That was not found."),
+        ("both", True, ["backlash.y", "backlash.x"], "effect", [], "Right."),
+        ("x", False, [], "unknown", ["unknown"], "Right: the verdict was 'unknown'."),
+        ("x", True, [], "undecided", ["none", "backlash.x"], "It is one of the 2 hypotheses"),
+        ("x", True, [], "complete", ["none"], "That was not found."),
+    ],
+)
+def test_a_verdict_is_judged_by_what_was_hidden(
+    axis: str, known: bool, effects: list[str], verdict: str, stated: list[str], said: str
+) -> None:
+    hidden = [{"effect": "backlash", "axis": axis, "strength": "strong", "known": known}]
+    assert judged(hidden, effects, verdict, stated).startswith(said)
