@@ -12,8 +12,11 @@ A benchmark that is cut off keeps what it has: the JSON file is written anew aft
 
 import argparse
 import json
+import multiprocessing
 import time
 from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -123,6 +126,16 @@ def judge(seed: int, threads: int) -> dict[str, Any]:
     return record
 
 
+def _judged(seeds: Sequence[int], threads: int, workers: int) -> Iterator[dict[str, Any]]:
+    """Cases as they are done; a case's answer does not depend on the workers."""
+    if workers == 1:
+        yield from (judge(seed, threads) for seed in seeds)
+        return
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(judge, seed, threads) for seed in seeds]):
+            yield done.result()
+
+
 def truth_of(kind: str, hidden: tuple[Hidden, ...]) -> str:
     """The hypothesis that is true, as a verdict's set names it."""
     if kind in ("none", "outside"):
@@ -195,7 +208,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=12)
     parser.add_argument("--seed", type=int, default=100_000, help="of the first case; the others follow")
-    parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=0, help="of each case; 0 for one per CPU")
+    parser.add_argument("--workers", type=int, default=1, help="cases side by side; the seconds are then no measure")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     low, high = CALIBRATION.seeds
@@ -203,10 +217,11 @@ def main() -> None:
         print(f"Note: seeds {low} to {high} were used to choose the calibration; these figures flatter it.")
     records: list[dict[str, Any]] = []
     started = time.monotonic()
-    for seed in range(arguments.seed, arguments.seed + arguments.cases):
-        record = judge(seed, arguments.threads)
+    seeds = range(arguments.seed, arguments.seed + arguments.cases)
+    for record in _judged(seeds, arguments.threads, arguments.workers):
         records.append(record)
-        print(f"{seed} {record['truth']} ({record['strength'] or '-'}, {record['shows']:.1f} x floor) -> "
+        records.sort(key=lambda r: r["seed"])
+        print(f"{record['seed']} {record['truth']} ({record['strength'] or '-'}, {record['shows']:.1f} x floor) -> "
               f"{record['verdict']} {', '.join(record['stated'])} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
         if arguments.json:
             content = {"seed": arguments.seed, "figures": figures(records), "cases": records}

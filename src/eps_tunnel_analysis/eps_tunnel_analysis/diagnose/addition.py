@@ -100,5 +100,5 @@ def _fitted(search: Search, base: Refit, candidates: Sequence[Candidate]) -> Ref
         search.settle_at(best)
         on = tuple(search.library.find(n) for n in best.effects)
         looks = search.looks([best], [candidate])[:STARTS]
-        best = search.best_of([((*on, candidate), values) for _, values, _ in looks], ROUNDS)[0]
+        best = search.best_of([((*on, candidate), look.values) for look in looks], ROUNDS)[0]
     return best

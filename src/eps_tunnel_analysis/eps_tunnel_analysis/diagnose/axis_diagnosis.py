@@ -26,6 +26,7 @@ from labyrinth_sim.model import Model
 FAR = 4.0  # times what may be left; further away a third effect is not looked for
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
+PROMISE = 0.6  # of the cost: where little is left, one more effect is looked for only if a look promises less
 FEWEST_INDEPENDENT = 30.0  # samples; what a model gets wrong is correlated for long, and still tells models apart
 
 Progress = Callable[[str, int], None]
@@ -83,7 +84,8 @@ def diagnose_axis(
         refits += rival_refits(search, best, refits)
         best = _lowest([base, *refits])
         while best.overall > CALIBRATION.gate and 0 < len(best.effects) < MOST_EFFECTS:
-            found = next_refits(search, best, PAIR_SHORTLIST)
+            few = best.overall <= allowed(max(base.overall, once))
+            found = next_refits(search, best, PAIR_SHORTLIST, PROMISE if few else np.inf)
             found += rival_refits(search, _lowest(found), [*refits, *found]) if found else []
             if not found or not _needed(_lowest(found), best, max(base.overall, once), search, tried):
                 break

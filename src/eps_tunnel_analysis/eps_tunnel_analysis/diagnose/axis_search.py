@@ -196,8 +196,12 @@ def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit
     return found
 
 
-def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST) -> list[Refit]:
-    """Every candidate refitted on top of a refit: looks, then descents of the most promising; best first."""
+def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST, unless: float = np.inf) -> list[Refit]:
+    """Every candidate refitted on top of a refit: looks, then descents of the most promising; best first.
+
+    Args:
+        unless: nothing is refitted where no look promises less than this share of the cost.
+    """
     search.settle_at(on)
     taken = set(on.effects)
     candidates = [c for c in search.library.candidates if c.name not in taken]
@@ -205,15 +209,19 @@ def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST) -> list[R
     nominal[: len(search.library.base)] = search.start[: len(search.library.base)]
     # Base values that made up for the missing effect lie in the wrong valley; the model's own may not.
     points = [on] if not on.effects and np.allclose(nominal, on.values) else [on, search.at(nominal, on)]
+    fitted = tuple(search.library.find(name) for name in on.effects)
+    looks = search.looks(points, candidates)
+    if looks and looks[0].promised > unless * on.cost:
+        return []
     jobs: list[tuple[tuple[Candidate, ...], np.ndarray]] = []
     chosen: dict[str, int] = {}
-    fitted = tuple(search.library.find(name) for name in on.effects)
-    for candidate, values, _ in search.looks(points, candidates):
-        count = chosen.get(candidate.name, 0)
+    for look in looks:
+        name = look.candidate.name
+        count = chosen.get(name, 0)
         if count >= LOOKS_EACH or (count == 0 and len(chosen) >= shortlist):
             continue
-        chosen[candidate.name] = count + 1
-        jobs.append(((*fitted, candidate), values))
+        chosen[name] = count + 1
+        jobs.append(((*fitted, look.candidate), look.values))
     return search.best_of(jobs, ROUNDS)
 
 
@@ -233,8 +241,8 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         without[columns] = search.start[columns]
         rest = replace(search.at(without, best), effects=tuple(o.name for o in others))
         count: dict[str, int] = {}
-        for candidate, values, _ in search.looks([rest], candidates):
-            count[candidate.name] = count.get(candidate.name, 0) + 1
-            if count[candidate.name] <= LOOKS_EACH:
-                jobs.append(((*others, candidate), values))
+        for look in search.looks([rest], candidates):
+            count[look.candidate.name] = count.get(look.candidate.name, 0) + 1
+            if count[look.candidate.name] <= LOOKS_EACH:
+                jobs.append(((*others, look.candidate), look.values))
     return search.best_of(jobs, ROUNDS) if jobs else []

@@ -5,7 +5,7 @@ At its off values an effect changes nothing, bit for bit, so roll-outs of all ca
 and travel in one batch.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,10 @@ from labyrinth_sim.effect import Effect, Parameter, effects
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
+
+FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
+LIMITS = 7  # values of a limit, as of a torque's
+TICKS = 48
 
 
 @dataclass(frozen=True)
@@ -106,28 +110,38 @@ def starts(candidate: Candidate) -> Array:
     period, a characteristic speed) at a few places between their bounds. Delay and backlash have kinks and valleys, so
     one start is never enough.
     """
-    ticks = candidate.effect.parameters
-    if len(ticks) == 1 and ticks[0].name == "tick":  # rounding fits at one value and hardly beside it
-        return np.geomspace(0.1 * ticks[0].typical, 3.0 * ticks[0].typical, 48)[:, None]
-    strengths: list[list[float]] = [[]]
-    shapes: list[list[float]] = [[]]
     declared = candidate.effect.parameters
-    for factor in (0.1, 0.3, 1.0, 3.0):
-        for sign in (1.0, -1.0):
-            row = [p.off + sign * factor * (p.typical - p.off) for p in declared if p.off is not None]
-            strengths.append([min(max(v, p.low), p.high) for v, p in zip(row, _switching(declared), strict=True)])
+    if is_tick(candidate):  # rounding fits at one value and hardly beside it
+        return np.geomspace(0.1 * declared[0].typical, 3.0 * declared[0].typical, TICKS)[:, None]
+    switching = [p for p in declared if p.off is not None]
+    strengths = [[*row] for ladder in _ladders(switching) for row in ladder]
+    shapes: list[list[float]] = [[]]
     for p in (p for p in declared if p.off is None):
         spread = np.geomspace(p.low, p.high, 7)[1:-1] if p.low > 0 else np.linspace(p.low, p.high, 5)[:-1]
         shapes = [[*row, float(v)] for row in shapes for v in spread]
     rows = []
-    for strength in strengths[1:]:
-        if all(v == p.off for v, p in zip(strength, _switching(declared), strict=True)):
-            continue  # the mirrored value lies outside the bounds
+    for strength in strengths:
         for shape in shapes:
             values = iter(strength), iter(shape)
             rows.append([next(values[0] if p.off is not None else values[1]) for p in declared])
     return np.unique(np.array(rows), axis=0)
 
 
-def _switching(declared: Sequence[Parameter]) -> list[Parameter]:
-    return [p for p in declared if p.off is not None]
+def is_tick(candidate: Candidate) -> bool:
+    """Whether it rounds to ticks: its misfit has no slope over the tick."""
+    declared = candidate.effect.parameters
+    return len(declared) == 1 and declared[0].name == "tick"
+
+
+def _ladders(switching: Sequence[Parameter]) -> Iterator[Array]:
+    """Values (s, k) from weak to strong: of either sign about the off values; of a limit, over all of its decades."""
+    if all(p.off == p.high and p.low > 0 for p in switching):
+        yield np.column_stack([np.geomspace(p.low, p.high, LIMITS + 2)[1:-1] for p in switching])
+        return
+    for sign in (1.0, -1.0):
+        rows = []
+        for factor in FACTORS:
+            row = [(p.off or 0.0) + sign * factor * (p.typical - (p.off or 0.0)) for p in switching]
+            rows.append([min(max(v, p.low), p.high) for v, p in zip(row, switching, strict=True)])
+        table = np.array(rows)
+        yield table[(table != [p.off for p in switching]).any(axis=1)]  # the mirrored value may lie outside the bounds

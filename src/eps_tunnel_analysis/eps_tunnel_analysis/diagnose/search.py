@@ -19,6 +19,7 @@ from labyrinth_sim.trials import Array
 DIFFERENCE = 1e-3  # finite differences, normalised; coarse enough to see over the ticks of a quantised sensor
 TOLERANCE = 2e-3  # relative gain of a round below which a descent rests
 AT_ONCE = 256  # roll-outs of one batch while looking
+FEW_STARTS = 20
 LOOK_STEP = 3  # rounds after which the hopeless are given up
 SCAN = 24  # values tried around a tick
 FINE_ROUNDS = 2  # of descent at the fine step, for those that are judged
@@ -48,6 +49,15 @@ class Refit:
     overall: float
     free: int
     converged: bool
+
+
+@dataclass(frozen=True)
+class Look:
+    """A candidate at (K,) values, and the cost promised: with as much of its change as helps, to first order."""
+
+    candidate: Candidate
+    values: Array
+    promised: float
 
 
 class Search:
@@ -174,26 +184,31 @@ class Search:
                 jobs.append((self._candidates(refit), around[int(np.nanargmin(cost))]))
         return self.refit(jobs, LOOK_STEP)
 
-    def looks(self, refits: Sequence[Refit], candidates: Sequence[Candidate]) -> list[tuple[Candidate, Array, float]]:
-        """Every start of every candidate on top of each refit: (candidate, (K,) values, promised cost), best first."""
-        jobs: list[tuple[Candidate, Array]] = []
-        promised: list[float] = []
-        for refit in refits:
+    def looks(self, refits: Sequence[Refit], candidates: Sequence[Candidate]) -> list[Look]:
+        """Every start of every candidate on top of each refit, by what it promises, best first.
+
+        On top of refits after the first, candidates with many starts are left out.
+        """
+        found: list[Look] = []
+        for number, refit in enumerate(refits):
             mine: list[tuple[Candidate, Array]] = []
             for candidate in candidates:
-                for row in starts(candidate):
+                rows = starts(candidate)
+                for row in rows if number == 0 or len(rows) <= FEW_STARTS else ():
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row
                     mine.append((candidate, values))
             basis = self._basis(refit)[~self.kept]
+            here = refit.residuals[~self.kept]
+            here = here - basis @ (basis.T @ here)
             for low in range(0, len(mine), AT_ONCE):
                 answers = self.residuals(np.array([v for _, v in mine[low : low + AT_ONCE]]))[:, ~self.kept]
                 # What the base values can compensate to first order does not count against a candidate.
-                rest = answers - (answers @ basis) @ basis.T
-                promised += list(np.mean(rest**2, axis=1))
-            jobs += mine
-        order = np.argsort(np.nan_to_num(promised, nan=np.inf), kind="stable")
-        return [(*jobs[i], float(promised[i])) for i in order if np.isfinite(promised[i])]
+                change = answers - (answers @ basis) @ basis.T - here
+                share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
+                left = np.mean((here + share[:, None] * change) ** 2, axis=1)
+                found += [Look(c, v, float(p)) for (c, v), p in zip(mine[low : low + AT_ONCE], left, strict=True)]
+        return sorted((look for look in found if np.isfinite(look.promised)), key=lambda look: look.promised)
 
     def at(self, values: Array, like: Refit) -> Refit:
         """The refit that has these values (K,)."""

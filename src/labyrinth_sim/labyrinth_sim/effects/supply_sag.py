@@ -38,7 +38,7 @@ EFFECT = Effect(
     title="Supply sag",
     physics="The supply's voltage falls with the current that all motors draw, and with it the torque they can give.",
     equation="V' = V (1 - s sum_i |torque_i| / torque_max,i)",
-    parameters=(Parameter("sag", "1", 0.0, 20.0, 0.0, 0.8, "0 to a supply that leaves a stalled motor a twentieth"),),
+    parameters=(Parameter("sag", "1", 0.0, 20.0, 0.0, 2.0, "0 to a supply that leaves a stalled motor a twentieth"),),
     stage="force",
     mark="Both axes moving at once are slower than either alone; large steps lose their top speed.",
     shows="passing",
