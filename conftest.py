@@ -2,6 +2,7 @@
 """What all tests share: ROS domains of their own, and a second try for tests that run against real time."""
 
 import os
+import signal
 from collections.abc import Iterator
 from itertools import count
 
@@ -30,6 +31,12 @@ def domain() -> Iterator[int]:
 def module_domain() -> Iterator[int]:
     """A ROS_DOMAIN_ID that no other test on this machine has, for the tests of a file."""
     yield from _domain()
+
+
+def pytest_configure() -> None:
+    # A shell's background job ignores Ctrl-C and hands that on to every child; some tests press it.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
