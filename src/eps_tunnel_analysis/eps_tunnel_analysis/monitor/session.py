@@ -178,14 +178,7 @@ class Session:
     def _new(self, kind: str, name: str = "") -> Path:
         """A path that nothing has yet, in a folder of this session."""
         if self._folder is None:
-            number = 1
-            while (folder := self._out / f"monitor-{number}").exists():
-                number += 1
-            try:
-                folder.mkdir(parents=True)
-            except OSError as error:
-                raise InputError(f"{folder}: cannot be made ({error.strerror}). Choose another `folder`.") from error
-            self._folder = folder
+            self._folder = fresh_folder(self._out, "monitor")
         self._made[kind] += 1
         return self._folder / (name or f"{kind}-{{}}").format(self._made[kind])
 
@@ -247,3 +240,17 @@ class Session:
         elif self._loading:
             kind, told, began = "add", "loading the model", self._began
         self._state.put(Job(kind, told, float(round(time.monotonic() - began)) if kind else 0.0))
+
+
+def fresh_folder(out: Path, name: str) -> Path:
+    """A new folder out/NAME-N, numbered from 1. Raises InputError where none can be made."""
+    number = 1
+    while True:
+        folder = out / f"{name}-{number}"
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            number += 1
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made ({error.strerror}). Choose another folder.") from error

@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serves the page to watch, and does what it is asked for there."""
 
+import argparse
+import signal
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+from eps_tunnel_analysis.autonomous.truth import told
 from eps_tunnel_analysis.monitor.access import SHORTEST_TOKEN, is_loopback, new_token
 from eps_tunnel_analysis.monitor.server import MonitorServer
-from eps_tunnel_analysis.monitor.session import Session
+from eps_tunnel_analysis.monitor.session import Session, fresh_folder
 from eps_tunnel_analysis.monitor.state import State
 from eps_tunnel_analysis.monitor.steps import Steps
 from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
+from eps_tunnel_analysis.nodes.diagnosis_message import LATCHED, diagnosis_message
 from eps_tunnel_analysis.nodes.message_times import nanoseconds
-from eps_tunnel_analysis.nodes.monitor_inputs import LATCHED, Inputs
+from eps_tunnel_analysis.nodes.monitor_inputs import Inputs
 from eps_tunnel_analysis.nodes.monitor_rig import PlayerClient, SimulationClient
+from eps_tunnel_analysis.nodes.processes import ProcessDied, Processes
+from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, rig_processes
 from labyrinth_msgs.action import PlaySequence
 from labyrinth_msgs.msg import Diagnosis
 from labyrinth_sim.effect import effects
@@ -28,8 +34,9 @@ PLAYER_GONE = 5.0  # s
 class Monitor(TunnelNode):
     """Action client of /play_sequence, client of /sim/load_model; publishes its verdicts on /srg/diagnosis."""
 
-    def __init__(self) -> None:
+    def __init__(self, processes: Processes | None = None) -> None:
         super().__init__("monitor")
+        self._processes = processes
         host = self.parameter("host", "127.0.0.1", "Address to listen on; others than this machine's need the token")
         port = self.parameter("port", 8765, "Port to listen on; 0 takes a free one", "-", 0, 65535)
         token = self.parameter("token", "", "To be shown by every page; empty: none on this machine, else a new one")
@@ -51,6 +58,7 @@ class Monitor(TunnelNode):
             token = new_token()
         self._server = MonitorServer(self._state, host, port, token, self._session.ask, self._session.reports)
         self.create_timer(PERIOD, self._look)
+        self.create_timer(1.0, self._check_processes)
         self.get_logger().info(f"Open {self._server.address}")
 
     @property
@@ -96,7 +104,7 @@ class Monitor(TunnelNode):
 
     def publish(self, verdict: dict[str, Any], report: str) -> None:
         """Publishes a verdict for those who come later, too."""
-        message = diagnosis(verdict, report)
+        message = diagnosis_message(verdict, report)
         message.header.stamp = self.get_clock().now().to_msg()
         self._inputs.own_verdict = nanoseconds(message.header.stamp)
         self._verdicts.publish(message)
@@ -127,6 +135,15 @@ class Monitor(TunnelNode):
         if self.stopping.is_set() and self._player.playing:
             self._player.stop()  # nobody could stop it any more
 
+    def _check_processes(self) -> None:
+        """Tells once of a process of the emulated rig that ended."""
+        try:
+            if self._processes is not None:
+                self._processes.check()
+        except ProcessDied as died:
+            self._processes = None
+            self._state.note(str(died), "error")
+
     def _progressed(self, told: PlaySequence.Feedback) -> None:
         duration = self._inputs.duration
         self._session.progress(told.trial, told.trials, told.phase, told.progress, told.time_left, duration)
@@ -135,26 +152,53 @@ class Monitor(TunnelNode):
         self._session.played(result.success, result.message, list(result.bags))
 
 
-def diagnosis(content: dict[str, Any], report: str) -> Diagnosis:
-    """The content of a diagnosis.json as a message."""
-
-    def number(key: str) -> float:
-        value = content[key]
-        return float("nan") if value is None else float(value)
-
-    hypotheses = content["set"]
-    return Diagnosis(
-        verdict=content["verdict"], effects=content["effects"], candidates=list(hypotheses),
-        probabilities=[float(p) for p in hypotheses.values()], coverage=number("coverage"),
-        sentence=content["sentence"], next_experiment=content["next_experiment"] or "", report=report,
-        **{key: number(key) for key in ("error_before", "error_after", "held_out_before", "held_out_after",
-                                        "alikeness_before", "alikeness_after")},
-    )  # fmt: skip
+def parser() -> argparse.ArgumentParser:
+    """Options of `ros2 run eps_tunnel_analysis monitor`, before its `--ros-args`."""
+    p = argparse.ArgumentParser(
+        prog="monitor",
+        description="Serves a page that shows rig and simulation while they run, with buttons to play, diagnose "
+        "and add. Joins the nodes that run; with --emulated it starts a rig of its own.",
+        epilog="Parameters, after --ros-args -p NAME:=VALUE: host, port, token, folder, model, candidates.",
+    )
+    p.add_argument("--emulated", nargs="?", const="healthy", metavar="CONFIG", help="start an emulated rig of "
+                   "config/testbed and config/hw (default: healthy), simulation, analysis and player")  # fmt: skip
+    own = p.add_argument_group("with --emulated")
+    own.add_argument("--hide", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]",
+                     help="hide one more effect in the rig; ? draws one, told at the end")  # fmt: skip
+    own.add_argument("--sim", default="labyrinth_manual", metavar="M", help="model of the simulation (default: "
+                     "%(default)s)")  # fmt: skip
+    own.add_argument("--video", action="store_true", help="emulate the camera, too; takes most of a processor core")
+    own.add_argument("--seed", type=int, default=1, help="of the rig's noise and of a draw (default: %(default)s)")
+    own.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="where rig-N is made for the logs "
+                     "(default: %(default)s)")  # fmt: skip
+    return p
 
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run eps_tunnel_analysis monitor`."""
-    return run_node(Monitor, args)
+    words = list(sys.argv[1:] if args is None else args)
+    cut = words.index("--ros-args") if "--ros-args" in words else len(words)
+    given, ros = parser().parse_args(words[:cut]), words[cut:]
+    if given.emulated is None:
+        return run_node(Monitor, ros)
+    try:
+        load_model(given.sim)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        folder = fresh_folder(given.out, "rig")
+        rig = EmulatedRig(given.emulated, given.emulated, tuple(given.hide), given.seed, given.video)
+        with rig_processes(rig, given.sim, folder) as processes:
+            code = run_node(lambda: Monitor(processes), ros)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except ProcessDied as died:
+        print(died, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    if given.hide:
+        print(f"Hidden in the testbed: {told(hidden_in(folder))}. With values: {folder / 'hidden.json'}")
+    return code
 
 
 if __name__ == "__main__":

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from eps_tunnel_analysis.monitor.parts import Health, Pose, Scene, Verdict
 from eps_tunnel_analysis.monitor.state import State
 from eps_tunnel_analysis.monitor.steps import Steps
 from eps_tunnel_analysis.nodes.common import SIDES
+from eps_tunnel_analysis.nodes.diagnosis_message import LATCHED
 from eps_tunnel_analysis.nodes.message_times import nanoseconds
 from eps_tunnel_analysis.nodes.polled import PolledGroup, PolledTopic
 from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, Srg, Trial, TunnelSample
@@ -21,7 +22,6 @@ from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, Srg, Trial, T
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 SOME = QoSProfile(depth=20)
 ALL = QoSProfile(depth=1000)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SILENT = 1.0  # s without joint states after which a side is gone
 UNSEEN = 0.5  # s without a sight of the ball after which it is not drawn
 ANALYSIS_SILENT = 4.0  # s

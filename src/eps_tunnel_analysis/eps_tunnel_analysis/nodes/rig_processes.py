@@ -27,12 +27,14 @@ class EmulatedRig:
         testbed, hw: names or paths of config/testbed and config/hw files.
         hidden: effects hidden in it beside those of the file, `NAME[.AXIS][=STRENGTH]`; "?" draws one.
         seed: of its noise, and of the draw.
+        video: whether its camera shows board and ball, which takes most of a processor core.
     """
 
     testbed: str = "healthy"
     hw: str = "healthy"
     hidden: tuple[str, ...] = ()
     seed: int = 1
+    video: bool = False
 
 
 @contextmanager
@@ -57,6 +59,7 @@ def rig_processes(rig: EmulatedRig, model: str, folder: Path) -> Iterator[Proces
         with Processes(logs, environment) as processes:
             given = ["--config", rig.testbed, "--seed", str(rig.seed), "--reveal", str(folder / "hidden.json")]
             given += [part for name in rig.hidden for part in (["--draw"] if name == DRAW else ["--effect", name])]
+            given += ["--video"] if rig.video else []
             processes.start("testbed", [executable("labyrinth_hw", "testbed"), *given])
             _wait_for_ports(Path(ports), processes)
             processes.start("hw_node", [executable("labyrinth_hw", "hw_node"), *_parameters(config=rig.hw)])

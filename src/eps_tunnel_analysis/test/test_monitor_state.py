@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the page is told: the tunnel table, the staircase, the course of a session. No ROS, no browser."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eps_tunnel_analysis.monitor.floor import floor_of, rig_of
+from eps_tunnel_analysis.monitor.requests import Add, Arm, Diagnose, Play, Stop
+from eps_tunnel_analysis.monitor.session import Session
+from eps_tunnel_analysis.monitor.state import State, plain
+from eps_tunnel_analysis.monitor.steps import Steps
+from eps_tunnel_analysis.monitor.tunnel_table import BRIDGED, STEP, TunnelTable
+from labyrinth_sim.ball import BallGame
+from labyrinth_sim.build import compiled
+from labyrinth_sim.model import load_model
+
+PATIENCE = 90.0  # s
+SIGNALS = ("a", "b")
+
+
+def add(table: TunnelTable, time: float, value: float, simulated: float = 0.0, alike: bool = True) -> None:
+    two = np.array([value, -value])
+    table.add(time, SIGNALS, two, np.array([-0.1, -0.1]), np.array([0.2, 0.2]), np.full(2, simulated), [alike, True])
+
+
+def rows(table: TunnelTable, seen: int = -1) -> dict[int, list[list[float | None]]]:
+    changes = table.changes(seen)
+    return {row: cells for row, *cells in changes["rows"]} if changes else {}
+
+
+def test_a_sample_is_told_with_its_limits() -> None:
+    table = TunnelTable()
+    table.start("key", 1.0)
+    table.revision = 1
+    add(table, 0.5, 1.0, 1.5, alike=False)
+    assert rows(table) == {50: [[1.0, 0.9, 1.2, 1.5, None, 0], [-1.0, -1.1, -0.8, 1.5, None, 1]]}
+
+
+@given(st.lists(st.integers(0, 99), min_size=1, max_size=60), st.integers(0, 59))
+def test_who_saw_some_revisions_is_told_the_others_only_and_misses_none(order: list[int], cut: int) -> None:
+    table, known, seen = TunnelTable(), dict[int, Any](), -1
+    table.start("key", 1.0)
+    for number, row in enumerate(order, 1):
+        table.revision = number
+        add(table, row * STEP, float(number))
+        if number == cut:
+            known.update(rows(table, seen))
+            seen = number
+    news = rows(table, seen)
+    if cut == len(order):
+        assert news == {}
+    known.update(news)
+    assert known == rows(table)
+
+
+def test_short_gaps_between_samples_are_bridged_and_long_ones_left() -> None:
+    table = TunnelTable()
+    table.start("key", 1.0)
+    table.revision = 1
+    add(table, 0.10, 0.0)
+    add(table, 0.14, 4.0)
+    add(table, 0.14 + (BRIDGED + 1) * STEP, 9.0)
+    told = rows(table)
+    assert sorted(told) == [10, 11, 12, 13, 14, 14 + BRIDGED + 1]
+    assert [told[i][0][0] for i in range(10, 15)] == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_another_command_clears_the_table_and_another_trial_does_not() -> None:
+    table = TunnelTable()
+    table.start("one", 1.0)
+    table.revision = 1
+    add(table, 0.1, 1.0)
+    table.revision = 2
+    table.start("one", 1.0)
+    assert sorted(rows(table)) == [10]
+    table.start("two", 1.0)
+    changes = table.changes(1)
+    assert changes is not None
+    assert changes["whole"]
+    assert changes["rows"] == []
+
+
+def test_a_new_model_leaves_what_the_old_one_did_for_comparison() -> None:
+    table = TunnelTable()
+    table.start("one", 1.0)
+    add(table, 0.1, 1.0, simulated=7.0)
+    table.revision = 3
+    table.new_model()
+    assert rows(table, 2)[10][0] == [1.0, 0.9, 1.2, None, 7.0, -1]
+
+
+def test_a_time_far_outside_is_left_out() -> None:
+    table = TunnelTable()
+    table.start("one", 1.0)
+    for wrong in (-1.0, 1e9, float("nan")):
+        add(table, wrong, 1.0)
+    assert rows(table) == {}
+
+
+@given(
+    st.recursive(st.none() | st.floats() | st.text(), lambda inner: st.lists(inner) | st.tuples(inner), max_leaves=9)
+)
+def test_all_that_is_told_is_json(content: Any) -> None:
+    json.dumps(plain({"x": content}), allow_nan=False)
+
+
+def gap(steps: Steps, share: float, samples: int = 100) -> None:
+    steps.gap(["a"], [1.0, 2.0], [share, 1.0], [share, 1.0], samples, 2)
+
+
+def stairs(state: State) -> list[tuple[str, str, float | None, float | None]]:
+    told = state.changes(-1)[0]["staircase"]["steps"]
+    return [(s["model"], s["change"], s["held_out"], s["live"]) for s in told]
+
+
+def test_each_model_is_a_step_with_what_it_left() -> None:
+    state = State()
+    steps = Steps(state)
+    assert steps.runs("m", "m.yaml", "0")
+    gap(steps, 0.2)
+    steps.diagnosed(0.004)
+    assert not steps.runs("m", "m.yaml", "0")
+    steps.announce("+ backlash.x", 0.001)
+    assert steps.runs("m_1", "m_1.yaml", "1")
+    gap(steps, 0.2)  # a late figure of the model before
+    assert stairs(state) == [("m", "as given", 0.004, 0.2), ("m_1", "+ backlash.x", 0.001, None)]
+    assert state.changes(-1)[0]["before"] == {"model": "m", "ks": [1.0, 2.0], "joint": [0.2, 1.0]}
+    steps.trial_started()
+    gap(steps, 0.9)
+    assert steps.runs("other", "", "2")
+    assert stairs(state)[1:] == [("m_1", "+ backlash.x", 0.001, 0.9), ("other", "loaded by hand", None, None)]
+
+
+class Bench:
+    """A session whose rig notes what it is told. What works on bags is the real thing."""
+
+    def __init__(self, folder: Path) -> None:
+        self.ready, self.playing, self.analysed = True, False, True
+        self.told: list[Any] = []
+        self.state = State()
+        self.steps = Steps(self.state)
+        self.session = Session(self.state, self.steps, self, folder, "labyrinth_manual", ("gravity_load",))
+
+    def alive(self, side: str) -> bool:
+        return True
+
+    def play(self, sequence: str, trials: int, folder: Path) -> None:
+        self.playing = True
+        self.told.append(("play", sequence, trials, folder))
+
+    def stop(self) -> None:
+        self.told.append("stop")
+
+    def load(self, model: Path) -> None:
+        self.told.append(("load", model))
+
+    def publish(self, verdict: dict[str, Any], report: str) -> None:
+        self.told.append(("publish", verdict["verdict"], report))
+
+    def do(self, request: Any) -> str:
+        """Asks, looks, and returns the last entry of the log."""
+        self.session.ask(request)
+        self.session.look(1)
+        entries = self.state.changes(-1)[0].get("log", {"entries": [[0, 0, "", ""]]})["entries"]
+        return str(entries[-1][3])
+
+    def until(self, done: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not done():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+            self.session.look(1)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path / "out")
+
+
+def test_nothing_moves_before_the_rig_is_armed(bench: Bench) -> None:
+    assert "Arm" in bench.do(Play("paper_8s", 2))
+    bench.do(Arm(True))
+    bench.do(Play("paper_8s", 2))
+    assert [entry[:3] for entry in bench.told] == [("play", "paper_8s", 2)]
+    bench.playing = False
+    bench.do(Arm(False))
+    assert "Arm" in bench.do(Play("paper_8s", 2))
+
+
+def test_one_thing_at_a_time_and_each_run_gets_a_folder_of_its_own(bench: Bench) -> None:
+    bench.do(Arm(True))
+    bench.do(Play("paper_8s", 2))
+    assert "Wait" in bench.do(Play("paper_8s", 2))
+    assert "Wait" in bench.do(Diagnose())
+    bench.do(Stop())
+    bench.playing = False
+    bench.do(Play("excite_12s", 0))
+    folders = [entry[3] for entry in bench.told if entry != "stop"]
+    assert len(set(folders)) == 2
+    assert all("monitor-1" in folder.parts for folder in folders)
+
+
+def test_what_cannot_be_done_is_told_with_what_to_try(bench: Bench) -> None:
+    assert "Play a sequence first" in bench.do(Diagnose())
+    assert "Play a sequence first" in bench.do(Add(("backlash.x",)))
+    bench.do(Arm(True))
+    assert "paper_8s" in bench.do(Play("paper_9s", 2))
+    bench.ready = False
+    assert "player" in bench.do(Play("paper_8s", 2))
+    assert bench.told == []
+
+
+def test_work_that_fails_is_told_in_the_words_of_the_command(bench: Bench, tmp_path: Path) -> None:
+    bench.session.played(True, "Played.", [str(tmp_path / "no_bag_real"), str(tmp_path / "no_bag_sim")])
+    bench.do(Diagnose())
+    assert bench.state.changes(-1)[0]["job"]["kind"] == "diagnose"
+    bench.until(lambda: bench.state.changes(-1)[0]["job"]["kind"] == "")
+    _, _, level, text = bench.state.changes(-1)[0]["log"]["entries"][-1]
+    assert level == "error"
+    assert "no_bag_real" in text
+    assert bench.told == []
+
+
+def test_the_floor_is_that_of_the_ball_game() -> None:
+    model = load_model("labyrinth")
+    floor, game = floor_of(model), BallGame.of(compiled(model, with_ball=True).mj)
+    assert floor is not None
+    np.testing.assert_allclose(floor.holes, game.holes, atol=1e-5)
+    np.testing.assert_allclose(floor.size, game.size, atol=1e-9)
+    assert (floor.hole_radius, floor.ball_radius) == pytest.approx((game.hole_radius, game.ball_radius))
+    assert len(floor.walls) > 40
+    assert rig_of(model).tilt == ("board_x", "board_y")
+
+
+@pytest.mark.parametrize("name", ["pendulum", "horn", "two_link_arm"])
+def test_a_rig_without_a_ball_is_shown_by_its_axes(name: str) -> None:
+    rig = rig_of(load_model(name))
+    assert asdict(rig)["floor"] is None
+    assert rig.axes

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page to watch in a real browser, on the emulated rig: load, play, diagnose, add, and the gap falls."""
+
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
+pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from browser import Page, browser, chromium
+from nodes_under_test import PATIENCE, Workplace, workplace
+
+from eps_tunnel_analysis.nodes.monitor import main
+from eps_tunnel_analysis.nodes.processes import Processes, executable
+
+pytestmark = pytest.mark.realtime
+SHORT = """
+description: Four seconds on one axis.
+initial_deg: {motor_x: 0, motor_y: 0}
+trials: 2
+command:
+  motor_x:
+    - hold: {lasts_s: 0.2}
+    - step: {to_deg: 3, lasts_s: 0.5}
+    - step: {to_deg: -3, lasts_s: 0.5}
+    - ramp: {to_deg: 1, lasts_s: 0.8}
+    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
+    - step: {to_deg: 0, lasts_s: 0.4}
+  motor_y:
+    - hold: {lasts_s: 4.0}
+"""
+FEW = "[gravity_load, return_spring]"
+IDLE = "!document.getElementById('diagnose').disabled"
+BUSY = "document.getElementById('diagnose').disabled"
+JOINT = "parseFloat(document.getElementById('joint').textContent)"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass
+class Watched:
+    """The emulated rig with its nodes, the monitor as a program of its own, and a page in a browser."""
+
+    place: Workplace
+    page: Page
+    port: int
+    monitors: int = 0
+
+    @contextmanager
+    def monitor(self) -> Iterator[None]:
+        """The monitor runs for as long."""
+        self.monitors += 1
+        logs = self.place.folder / f"monitor_{self.monitors}"
+        logs.mkdir()
+        given = {"port": self.port, "folder": self.place.folder / "out", "candidates": FEW}
+        parameters = [part for key, value in given.items() for part in ("-p", f"{key}:={value}")]
+        with Processes(logs, self.place.environment) as processes:
+            processes.start("monitor", [executable("eps_tunnel_analysis", "monitor"), "--ros-args", *parameters])
+            deadline = time.monotonic() + PATIENCE
+            while "Open http" not in (logs / "monitor.log").read_text():
+                processes.check()
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            yield
+
+    def until(self, script: str) -> object:
+        return self.page.until(script, self.place.processes.check)
+
+    def all_there(self) -> None:
+        self.until("document.querySelectorAll('.chip.there').length == 4")
+
+    def play(self) -> None:
+        """Plays the chosen sequence and waits for its end."""
+        self.until("!document.getElementById('play').disabled")
+        self.page.click("play")
+        self.until(BUSY)
+        self.until(IDLE)
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory, module_domain: int) -> Iterator[Watched]:
+    program = chromium()
+    if program is None:
+        pytest.skip("needs Chromium or Chrome; name it by $CHROMIUM")
+    folder = tmp_path_factory.mktemp("monitor")
+    (folder / "config" / "sequences").mkdir(parents=True)
+    (folder / "config" / "sequences" / "short.yaml").write_text(SHORT)
+    ports = folder / "ports"
+    ports.mkdir()
+    with workplace(folder / "nodes", module_domain) as place:
+        place.environment.update(XDG_RUNTIME_DIR=str(ports), EPS_TUNNEL_CONFIG=str(folder / "config"))
+        place.processes = Processes(place.folder / "logs", place.environment)
+        testbed = ["--config", "healthy", "--seed", "1", "--effect", "gravity_load.x=strong"]
+        place.processes.start("testbed", [executable("labyrinth_hw", "testbed"), *testbed])
+        place.until(lambda: len(list(ports.rglob("*"))) >= 3)
+        place.start("labyrinth_hw", "hw_node", config="healthy")
+        place.start("labyrinth_sim", "sim_node", model="labyrinth_manual")
+        place.start("eps_tunnel_analysis", "analysis_node")
+        place.start("eps_tunnel_analysis", "player", connect_timeout=40.0, silence_timeout=3.0, stall_timeout=0.3)
+        with browser(program, folder) as page:
+            yield Watched(place, page, free_port())
+
+
+def test_the_loop_goes_round_in_a_browser(watched: Watched) -> None:
+    page = watched.page
+    with watched.monitor():
+        page.look(1280, 900, dark=False)
+        page.open(f"http://127.0.0.1:{watched.port}/")
+        watched.all_there()
+        assert page.evaluate("document.getElementById('play').disabled")  # not armed
+        page.evaluate("document.getElementById('sequence').value = 'short'")
+        page.evaluate("document.getElementById('trials').value = 2")
+        page.click("armed")
+        watched.play()
+        before = page.evaluate(JOINT)
+        assert page.evaluate("document.querySelectorAll('#tunnels .uplot').length") == 4
+        page.click("diagnose")
+        watched.until("document.getElementById('adding').hidden == false && " + IDLE)
+        assert "gravity load" in page.evaluate("document.getElementById('sentence').textContent")
+        assert page.evaluate("document.getElementById('effect').value") == "gravity_load.x"
+        page.click("add")
+        watched.until("document.querySelectorAll('.step').length == 2 && " + IDLE)
+        watched.play()
+        watched.until("document.getElementById('joint-before').textContent != ''")
+        assert page.evaluate(JOINT) > before
+        left = page.evaluate("[...document.querySelectorAll('.step .bar i.error')].map(e => parseFloat(e.style.width))")
+        assert left[0] == 100
+        assert left[1] < 50
+        fit = "document.documentElement.scrollWidth <= innerWidth"
+        for width, dark in ((390, False), (390, True), (820, False), (1600, True)):
+            page.look(width, 844, dark)
+            assert page.until(fit)
+    origins = (f"http://127.0.0.1:{watched.port}/", f"ws://127.0.0.1:{watched.port}/")
+    assert [url for url in page.fetched if not url.startswith(origins)] == []
+    assert [trouble for trouble in page.troubles if "/live" not in trouble] == []  # the connection ended, as it should
+
+
+def test_the_page_connects_again_by_itself(watched: Watched) -> None:
+    page = watched.page
+    with watched.monitor():
+        page.open(f"http://127.0.0.1:{watched.port}/")
+        watched.all_there()
+        page.evaluate("window.same = true")
+    watched.until("!document.getElementById('away').hidden")
+    with watched.monitor():
+        watched.until("document.getElementById('away').hidden")
+        watched.all_there()
+        assert page.evaluate("window.same")
+
+
+def test_the_page_of_another_origin_cannot_drive_the_rig_from_a_browser(watched: Watched) -> None:
+    # The same machine under its other name is another origin, as a foreign site is.
+    page = watched.page
+    with watched.monitor():
+        page.open(f"http://localhost:{watched.port}/")
+        watched.all_there()
+        attempt = f"""new Promise(done => {{ const s = new WebSocket("ws://127.0.0.1:{watched.port}/live");
+            s.onopen = () => done("open"); s.onerror = () => done("refused"); }})"""
+        assert page.evaluate(attempt) == "refused"
+
+
+WRONG = {
+    "model:=labyrinth_manuel": "labyrinth_manual",
+    "candidates:=[backlsh]": "backlash",
+    "token:=short": "12",
+    "host:=192.0.2.1": "host:=",
+    "port:=99999": "65535",
+    "prot:=1": "port",
+}
+
+
+@pytest.mark.parametrize("parameter", WRONG)
+def test_wrong_parameters_end_with_code_2(
+    parameter: str, domain: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    assert main(["--ros-args", "-p", "port:=0", "-p", parameter]) == 2
+    assert WRONG[parameter] in capsys.readouterr().err
+
+
+def test_a_port_in_use_ends_with_code_2(
+    domain: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert main(["--ros-args", "-p", f"port:={taken.getsockname()[1]}"]) == 2
+    assert "port:=" in capsys.readouterr().err
+
+
+def test_an_emulated_rig_with_an_unknown_model_ends_with_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--emulated", "--sim", "labyrinth_manuel", "--out", str(tmp_path)]) == 2
+    assert "labyrinth_manual" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
