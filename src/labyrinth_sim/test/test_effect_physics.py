@@ -30,7 +30,9 @@ def test_a_slack_belt_leaves_the_board_behind_by_half_the_width_either_way() -> 
 
 @pytest.mark.parametrize(("moving", "share"), [(1, 1 / 1.8), (2, 1 / 2.6)])
 def test_the_supply_sags_to_where_voltage_and_torque_agree(moving: int, share: float) -> None:
-    model = MODEL.with_values({"drive.x.torque": 0.3, "drive.y.torque": 0.3}).with_effect("supply_sag", "x", {"sag": 0.8})
+    model = MODEL.with_values({"drive.x.torque": 0.3, "drive.y.torque": 0.3}).with_effect(
+        "supply_sag", "x", {"sag": 0.8}
+    )
     model = model.with_effect("supply_sag", "y", {"sag": 0.8})
     time = np.arange(31) * 0.002
     step = np.full(31, 0.12)

@@ -27,7 +27,8 @@ FAR = 4.0  # times what may be left; further away a third effect is not looked f
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
 PROMISE = 0.6  # of the cost: where little is left, one more effect is looked for only if a look promises less
-FEWEST_INDEPENDENT = 30.0  # samples; what a model gets wrong is correlated for long, and still tells models apart
+INDEPENDENT = (30.0, 100.0)  # samples, at least: what is left may be correlated for long and still tells models apart;
+# and at most: no model is so exact that a few percent of what noise leaves would tell them apart
 
 Progress = Callable[[str, int], None]
 """Told what is being done and how many roll-outs were made."""
@@ -143,4 +144,4 @@ def _without_idle(search: Search, found: Refit, singles: Sequence[Refit], tried:
 
 def _independent(search: Search, refit: Refit) -> float:
     found = gate(refit.residuals, search.blocks, np.zeros(len(refit.residuals))).independent
-    return max(found, FEWEST_INDEPENDENT)
+    return min(max(found, INDEPENDENT[0]), INDEPENDENT[1])

@@ -35,6 +35,8 @@ EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves
 EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
 BASE_LOOKS = 64  # values of the base tried before it is descended, and
 BASE_STARTS = 5  # how many of them are descended
+REBASED = 3  # refits whose base values are sought anew, each from
+REBASE_STARTS = 3  # starts, its own among them
 NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 SHORTLIST = 12  # candidates refitted from their looks
 LOOKS_EACH = 2
@@ -97,6 +99,7 @@ def axis_search(
     used = np.flatnonzero(~np.isin(objective.blocks % len(part.signals), efforts := _columns(part.signals, torque)))
     if efforts:
         used = np.sort(np.concatenate([used, _steady_efforts(objective, plays, channel, efforts)]))
+    used = used[_begun(objective, plays)[used]]
     scale = floors(objective, plays, efforts, channel)
     return Search(lib, objective, fine, scale, kept_samples(objective, plays), used, told)
 
@@ -117,6 +120,17 @@ def _steady_efforts(
             seen = np.isfinite(build_tunnel(play.trials.select([objective.signals[column]])).mean[:, 0])
             found.append(part[calm[seen]])
     return np.concatenate(found)
+
+
+def _begun(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool_]:
+    """(n,) samples after the start: a roll-out starts where sensors say, and a sensor may be wrong."""
+    found = np.zeros(len(objective.mean), dtype=bool)
+    for number, play in enumerate(plays):
+        late = play.trials.time - play.trials.time[0] >= SETTLED
+        for column, signal in enumerate(objective.signals):
+            part = objective.blocks == number * len(objective.signals) + column
+            found[part] = late[np.isfinite(build_tunnel(play.trials.select([signal])).mean[:, 0])]
+    return found
 
 
 def steady(play: Play, channel: str) -> NDArray[np.bool_]:
@@ -170,18 +184,23 @@ def kept_samples(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool
 
 def base_refit(search: Search, rounds: int = 8) -> Refit:
     """The base values alone: descended from where the model has them and from the best of many others."""
+    return base_from(search, _base_starts(search, search.start, BASE_STARTS), rounds)
+
+
+def _base_starts(search: Search, values: Array, keep: int) -> list[Array]:
+    """(K,) values, and those with other base values that fit best, out of many."""
     size = len(search.library.base)
     drawn = qmc.Sobol(size, rng=0, scramble=True).random(BASE_LOOKS) if size else np.empty((0, 0))
     span = (search.high - search.low)[:size]
-    points = np.tile(search.start, (len(drawn) + 1, 1))
+    points = np.tile(values, (len(drawn) + 1, 1))
     near = len(drawn) // 2
-    points[1 : near + 1, :size] += (drawn[:near] - 0.5) * NEAR * span
+    points[1 : near + 1, :size] = search.start[:size] + (drawn[:near] - 0.5) * NEAR * span
     points[near + 1 :, :size] = search.low[:size] + drawn[near:] * span
     points = np.clip(points, search.low, search.high)
     cost = np.mean(search.residuals(points)[:, ~search.kept] ** 2, axis=1)
-    cost[0] = -1.0  # what the model says is tried in any case
-    best = np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable")[:BASE_STARTS]
-    return base_from(search, [points[i] for i in best], rounds)
+    cost[0] = -1.0  # the given ones are tried in any case
+    best = np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable")[:keep]
+    return [points[i] for i in best]
 
 
 def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit:
@@ -222,7 +241,21 @@ def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST, unless: f
             continue
         chosen[name] = count + 1
         jobs.append(((*fitted, look.candidate), look.values))
-    return search.best_of(jobs, ROUNDS)
+    return _rebased(search, search.best_of(jobs, ROUNDS))
+
+
+def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
+    """The refits, the best of them descended again from other base values: those found may lie in a wrong valley."""
+    again: dict[tuple[str, ...], Refit] = {refit.effects: refit for refit in refits}
+    jobs = [
+        (tuple(search.library.find(n) for n in refit.effects), point)
+        for refit in refits[:REBASED]
+        for point in _base_starts(search, refit.values, REBASE_STARTS)[1:]
+    ]
+    for refit in search.best_of(jobs, ROUNDS) if jobs else []:
+        if refit.overall < again[refit.effects].overall:
+            again[refit.effects] = refit
+    return sorted(again.values(), key=lambda r: (r.cost, r.effects))
 
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:

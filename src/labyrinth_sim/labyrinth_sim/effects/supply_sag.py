@@ -10,16 +10,21 @@ from labyrinth_sim.trials import Array
 
 
 def step(live: Live, site: Site, values: Values) -> None:
-    """Solves V'/V = 1 - s sum_i min(wanted_i, V'/V), wanted being the torque at full voltage.
+    """Solves f = 1 - s sum_i t_i^2 / f, f being V'/V and t_i = min(wanted_i, f) shares of the torque at full voltage.
 
-    Newton from all motors saturated: the right side is piecewise linear and convex, so as many rounds as motors do.
+    A driver that gives the share t at duty t / f draws that duty's part of the motor's current. Motors that want more
+    than f, or more than the supply can feed, run at full duty and draw f.
     """
     wanted = np.stack([_wanted(live, other) for _, other in live.drives])
     sag = values["sag"]
-    factor = 1.0 / (1.0 + sag * len(wanted))
-    for _ in wanted:
-        free = wanted < factor
-        factor = (1.0 - sag * np.where(free, wanted, 0.0).sum(axis=0)) / (1.0 + sag * (~free).sum(axis=0))
+    full = np.zeros(wanted.shape, dtype=bool)
+    factor = np.ones_like(sag)
+    for _ in range(len(wanted) + 1):
+        slope = 1.0 + sag * full.sum(axis=0)
+        room = 1.0 - 4.0 * slope * sag * np.where(full, 0.0, wanted**2).sum(axis=0)
+        factor = (1.0 + np.sqrt(np.maximum(room, 0.0))) / (2.0 * slope)
+        largest = ~full & (wanted >= np.where(full, 0.0, wanted).max(axis=0))
+        full |= (wanted > factor) | ((room < 0.0) & largest)
     drive, place = live.drives[site.channel]
     drive.supply(live, place, factor)
 
@@ -37,7 +42,7 @@ EFFECT = Effect(
     name="supply_sag",
     title="Supply sag",
     physics="The supply's voltage falls with the current that all motors draw, and with it the torque they can give.",
-    equation="V' = V (1 - s sum_i |torque_i| / torque_max,i)",
+    equation="V' = V - s V sum_i duty_i |torque_i| / torque_max,i",
     parameters=(Parameter("sag", "1", 0.0, 20.0, 0.0, 2.0, "0 to a supply that leaves a stalled motor a twentieth"),),
     stage="force",
     mark="Both axes moving at once are slower than either alone; large steps lose their top speed.",
