@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from eps_tunnel_analysis.nodes.processes import Processes, executable
 
-PATIENCE = 90.0  # s; only what hangs takes so long
+PATIENCE = 180.0  # s; only what hangs takes so long
 
 
 class Workplace:

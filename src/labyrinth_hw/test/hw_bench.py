@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path
 from typing import IO
 
-PATIENCE = 90.0  # s; only what hangs takes so long
+PATIENCE = 180.0  # s; only what hangs takes so long
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 _numbers = count()
 COMMANDER = """

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from labyrinth_msgs.msg import BallState  # noqa: E402
 
 START = "from labyrinth_sim.nodes.sim_node import main; main()"
-PATIENCE = 90.0  # s; only what hangs takes so long
+PATIENCE = 180.0  # s; only what hangs takes so long
 pytestmark = pytest.mark.realtime
 
 
