@@ -6,7 +6,7 @@ import secrets
 import numpy as np
 import pytest
 
-from labyrinth_hw.annotate import annotated
+from labyrinth_hw.annotate import BLUE, GREEN, RED, WHITE, YELLOW, annotated
 from labyrinth_hw.ball_tracker import BallTracker
 from labyrinth_hw.dots import DotPlan
 from labyrinth_hw.landmarks import LandmarkTracker
@@ -86,12 +86,46 @@ def test_no_board_no_ball() -> None:
     assert not BallTracker().update(frame, None, 0.0).visible
 
 
-def test_the_annotation_draws_into_a_copy() -> None:
+def near(picture: np.ndarray, point: np.ndarray, colour: tuple[int, int, int]) -> bool:
+    """Whether a pixel within 2 of a point (x, y) has about this colour."""
+    x, y = np.round(point).astype(int)
+    around = picture[y - 2 : y + 3, x - 2 : x + 3].astype(int)
+    return bool((np.abs(around - colour).sum(axis=2) < 150).any())
+
+
+def test_the_annotation_draws_what_was_found_where_it_is_into_a_copy() -> None:
+    place, board, radius = (0.1, 0.1), (0.276, 0.231), 0.00635
     renderer = Renderer(layout("easy"), CLOSE)
-    frame = renderer.render(Scene(ball=(0.1, 0.1)))
+    frame = renderer.render(Scene(ball=place, tilt=(0.03, -0.05)))
     before = frame.copy()
     pose = LandmarkTracker(DotPlan.from_sizes(), intrinsics(CLOSE)).update(frame)
+    assert pose is not None
     ball = BallTracker().update(frame, pose, 0.0)
-    assert (annotated(frame, pose, ball) != frame).any(axis=2).sum() > 500
-    assert (annotated(frame, None) != frame).any()
+    picture = annotated(frame, pose, ball, board, radius)
+    width, depth = board
+    corners = np.array([(0, 0, 0), (width, 0, 0), (width, depth, 0), (0, depth, 0)])
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        for share in (0.3, 0.5, 0.7):
+            assert near(picture, pose.to_image(start + share * (end - start)[None])[0], YELLOW)
+    for axis, colour in zip(np.eye(3), (RED, GREEN, BLUE), strict=True):
+        assert near(picture, pose.to_image(0.03 * axis[None])[0], colour)
+    dots = pose.dots[np.isfinite(pose.dots[:, 0])]
+    assert len(dots) >= 4
+    around = np.array([(np.cos(angle), np.sin(angle)) for angle in np.linspace(0, 2 * np.pi, 8, endpoint=False)])
+    for dot in dots:
+        # The words in the upper left corner lie over everything.
+        if dot[0] > 220 or dot[1] > 60:
+            assert all(near(picture, dot + 8 * way, WHITE) for way in around)
+    assert near(picture, pose.to_image(np.array([[ball.x, ball.y, radius]]))[0], RED)
+    for way in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        ring = np.array([[ball.x + radius * way[0], ball.y + radius * way[1], radius]])
+        assert near(picture, pose.to_image(ring)[0], GREEN)
+    assert not near(frame, pose.to_image(corners[:2].mean(axis=0)[None])[0], YELLOW), "no mark of the scene itself"
     assert np.array_equal(frame, before)
+
+
+def test_without_a_board_only_words_are_drawn() -> None:
+    frame = Renderer(layout("easy"), CLOSE).render(Scene(ball=(0.1, 0.1)))
+    rows, columns = np.nonzero((annotated(frame, None) != frame).any(axis=2))
+    assert len(rows) > 100
+    assert rows.max() < 24 and columns.max() < 200
