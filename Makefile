@@ -42,7 +42,7 @@ help: ## show this list
 
 setup: install/.built ## install libraries and ROS 2 into .venv and build the workspace; nothing to do the second time
 
-demo: setup ## play, record and compare the emulated rig and its simulation; ends with a report
+demo: setup ## find what an emulated rig hides: gap, where, why, add, gap again; EFFECT=NAME hides another, EFFECT=? any
 	@$(RUN) ros2 run eps_tunnel_analysis demo $(if $(EFFECT),--effect '$(EFFECT)') $(DEMO_OPTIONS)
 
 test: setup ## run every test; PYTEST='-k tunnel -x' passes options on
