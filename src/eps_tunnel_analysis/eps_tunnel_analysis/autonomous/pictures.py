@@ -58,14 +58,15 @@ def hypotheses_picture(verdict: Verdict) -> Figure:
             axes.barh(row, 100 * p, color=REAL if name in verdict.stated else "#c9d3e3")
             axes.text(100 * p + 1, row, f"{p:.1%}", va="center", fontsize=8)
         axes.set_yticks(range(len(shown)), [name for name, _ in shown])
-        axes.set(xlim=(0, 112), xlabel="probability in %")
+        axes.set(xlim=(0, 112), xlabel="probability in %", axisbelow=True)
         axes.grid(visible=False, axis="y")
     return figure
 
 
 def left_over_picture(before: Comparison, after: Comparison | None) -> Figure:
-    """Simulation minus real over the measured angle and over the speed, of the signal that is off most."""
-    worst = max(range(len(before.signals)), key=lambda i: before.errors[i].rms / (before.errors[i].range or np.inf))
+    """Simulation minus real over the measured angle and over the speed, of the signal that is most beyond its noise."""
+    off = [e.rms / e.repeat_rms if e.repeat_rms > 0 else e.rms / (e.range or np.inf) for e in before.errors]
+    worst = int(np.argmax(off))
     factor, unit = shown_unit(before.real.units[worst])
     real = before.real_tunnel.mean[:, worst]
     speed = np.gradient(real, before.real.step)
@@ -75,8 +76,8 @@ def left_over_picture(before: Comparison, after: Comparison | None) -> Figure:
         for axes, x, label in zip(panels, (real, speed), (f"angle in {unit}", f"speed in {unit}/s"), strict=True):
             for comparison, colour, name in ((before, SIM, "before"), (after, REAL, "with what is named")):
                 if comparison is not None:
-                    off = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
-                    axes.plot(factor * x, factor * off, ".", ms=2, color=colour, label=name)
+                    left = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
+                    axes.plot(factor * x, factor * left, ".", ms=2, color=colour, label=name)
             axes.set_xlabel(label)
         panels[0].set_ylabel(f"simulation − real, {unit}")
         panels[0].set_title(before.signals[worst], loc="left", fontsize=9)
@@ -92,7 +93,7 @@ def staircase_picture(steps: Sequence[tuple[str, float]], floor: float) -> Figur
         axes.bar(range(len(steps)), [1000 * error for _, error in steps], color=SIM, width=0.6)
         axes.axhline(1000 * floor, color=REAL, ls="--", lw=1, label="what the rig itself does not repeat")
         axes.set_xticks(range(len(steps)), [name for name, _ in steps])
-        axes.set_ylabel("error E in mrad")
+        axes.set(ylabel="error E in mrad", axisbelow=True)
         axes.legend(frameon=False)
         axes.grid(visible=False, axis="x")
     return figure
