@@ -25,7 +25,7 @@ from labyrinth_sim.errors import InputError
 TAIL = 0.3  # s of recording after each trial, so that its last sample has a neighbour to interpolate with
 FEEDBACK = 0.2  # s between two reports of progress
 REPEATS = 3  # times a trial is begun anew after a stall of this process
-RECORD_TIMEOUT = 10.0  # s
+RECORD_TIMEOUT = 60.0  # s; a slow disk and a busy machine need some to close a bag
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,8 @@ class Play:
                     for number in range(trials):
                         self._whole_trial(command, number, run)
         except (Ended, InputError) as reason:
-            return Outcome(
-                False, f"{sequence.name} ended in trial {run.trial + 1} of {run.trials}: {reason}", tuple(bags)
-            )
+            trial = min(run.trial + 1, run.trials)
+            return Outcome(False, f"{sequence.name} ended in trial {trial} of {run.trials}: {reason}", tuple(bags))
         late = 1000 * np.array(run.lateness)
         return Outcome(
             True,

@@ -11,6 +11,8 @@ from eps_tunnel_analysis.sequence import Command
 from labyrinth_msgs.srv import Record
 from labyrinth_sim.errors import InputError
 
+APPEARS = 10.0  # s
+
 
 class RecordClient:
     """Calls /record from a thread that may wait, while the node is spun by others."""
@@ -33,9 +35,9 @@ class RecordClient:
         return self._call(Record.Request(start=False), timeout)
 
     def _call(self, request: Record.Request, timeout: float) -> tuple[str, ...]:
-        if not self._client.wait_for_service(timeout):
+        if not self._client.wait_for_service(APPEARS):
             raise InputError(
-                f"Nobody records: the service {self._client.service_name} did not appear within {timeout:g} s. "
+                f"Nobody records: the service {self._client.service_name} did not appear within {APPEARS:g} s. "
                 "Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
             )
         answered = threading.Event()
