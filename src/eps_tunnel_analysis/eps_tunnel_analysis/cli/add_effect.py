@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError(f"--out {out}: exists already and is never overwritten. Name another.")
     recorded = load_with_efforts(arguments)
     with progress(arguments.progress) as told:
-        added = add_effects(recorded.model, recorded.plays, arguments.names, arguments.threads, told)
+        added = add_effects(recorded.model, recorded.plays, arguments.names, arguments.threads, told, recorded.held)
     content = added.to_json()
     model = replace(
         added.model,

@@ -43,7 +43,15 @@ def run(arguments: argparse.Namespace) -> None:
     refuse_existing(arguments.out)
     recorded = load_with_efforts(arguments)
     with progress(arguments.progress) as told:
-        found = diagnose(recorded.model, recorded.plays, arguments.seed, arguments.candidates, arguments.threads, told)
+        found = diagnose(
+            recorded.model,
+            recorded.plays,
+            arguments.seed,
+            arguments.candidates,
+            arguments.threads,
+            told,
+            held=recorded.held,
+        )
     with new_folder(arguments.out) as folder:
         write_diagnosis(folder, found, recorded, arguments)
     if arguments.json:

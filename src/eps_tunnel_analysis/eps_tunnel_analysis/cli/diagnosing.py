@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from eps_tunnel_analysis.cli.plays import Recorded, load_recorded
+from eps_tunnel_analysis.cli.plays import Recorded, add_known_arguments, load_recorded
 from eps_tunnel_analysis.cli.versions import versions
 from labyrinth_sim.errors import InputError
 
@@ -26,7 +26,8 @@ LINE_EVERY = 0.2
 
 
 def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
-    """--seed, --threads, --progress."""
+    """--known, --held-out, --seed, --threads, --progress."""
+    add_known_arguments(parser)
     parser.add_argument("--seed", type=int, default=0, help="kept with the result (default: %(default)s)")
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="of this machine (default: all)")
     parser.add_argument("--progress", choices=("bar", "lines"), default="bar",

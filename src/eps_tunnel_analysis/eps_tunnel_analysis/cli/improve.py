@@ -59,7 +59,14 @@ def _improve(arguments: argparse.Namespace) -> None:
         for number in range(1, MOST_STEPS + 1):
             with progress(arguments.progress) as told:
                 found = diagnose(
-                    model, recorded.plays, arguments.seed, arguments.candidates, arguments.threads, told, once=once
+                    model,
+                    recorded.plays,
+                    arguments.seed,
+                    arguments.candidates,
+                    arguments.threads,
+                    told,
+                    once=once,
+                    held=recorded.held,
                 )
             step = folder / f"step_{number}"
             step.mkdir()

@@ -54,12 +54,18 @@ class Addition:
 
 
 def add_effects(
-    model: Model, plays: Sequence[Play], names: Sequence[str], nthread: int = 0, told: Progress | None = None
+    model: Model,
+    plays: Sequence[Play],
+    names: Sequence[str],
+    nthread: int = 0,
+    told: Progress | None = None,
+    held: Sequence[Play] = (),
 ) -> Addition:
     """Adds effects by name (`backlash.x`), those of one axis fitted together.
 
     Args:
         told: what is being done and how many roll-outs were made.
+        held: plays that are never fitted, for the held-out error.
 
     Raises:
         InputError: unknown names or places, or an axis that was not measured.
@@ -89,7 +95,7 @@ def add_effects(
     if left:
         valid = [f"{e.name}.{place}" for e in known.values() for place in model.places(e)]
         raise InputError([unknown_name("effect and place", n, valid) for n in left])
-    before, after = (errors_of(compared(m, plays)) for m in (base_model, final))
+    before, after = (errors_of(compared(m, plays), compared(m, held)) for m in (base_model, final))
     return Addition(final, before, after, values)
 
 

@@ -27,7 +27,7 @@ FAR = 4.0  # times what may be left; further away a third effect is not looked f
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
 PROMISE = 0.6  # of the cost: where little is left, one more effect is looked for only if a look promises less
-INDEPENDENT = (30.0, 100.0)  # samples, at least: what is left may be correlated for long and still tells models apart;
+INDEPENDENT = (30.0, 100.0)  # samples of a play, at least: what is left may be correlated for long and still tells models apart;
 # and at most: no model is so exact that a few percent of what noise leaves would tell them apart
 
 Progress = Callable[[str, int], None]
@@ -78,13 +78,15 @@ def diagnose_axis(
     base = base_refit(search)
     tried = len(search.library.candidates)
     refits: list[Refit] = []
-    if base.overall > allowed(once) * CALIBRATION.clean and tried:
+    floor = floor_known(plays)
+    if tried and (not floor or base.overall > allowed(once) * CALIBRATION.clean):
         refits = next_refits(search, base)
         base = _better_base(search, base, refits)
         best = _lowest([base, *refits])
         refits += rival_refits(search, best, refits)
         best = _lowest([base, *refits])
-        while best.overall > CALIBRATION.gate and 0 < len(best.effects) < MOST_EFFECTS:
+        # Without a floor nothing says when to stop, so one effect at a time is judged.
+        while floor and best.overall > CALIBRATION.gate and 0 < len(best.effects) < MOST_EFFECTS:
             few = best.overall <= allowed(max(base.overall, once))
             found = next_refits(search, best, PAIR_SHORTLIST, PROMISE if few else np.inf)
             found += rival_refits(search, _lowest(found), [*refits, *found]) if found else []
@@ -97,9 +99,14 @@ def diagnose_axis(
                 break
     independent = _independent(search, _lowest([base, *refits]))
     odd = tuple(r for play in plays for r in repeats(play.trials, _positions(model, part)) if r.sentence)
-    ranking, unknown = rank(base, refits, independent, tried, once, bool(odd))
+    ranking, unknown = rank(base, refits, independent, tried, once, bool(odd), floor)
     probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
     return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities, odd)
+
+
+def floor_known(plays: Sequence[Play]) -> bool:
+    """Whether every play has trials that tell what the rig repeats."""
+    return all(play.trials.count > 1 for play in plays)
 
 
 def _lowest(refits: Sequence[Refit]) -> Refit:
@@ -144,4 +151,5 @@ def _without_idle(search: Search, found: Refit, singles: Sequence[Refit], tried:
 
 def _independent(search: Search, refit: Refit) -> float:
     found = gate(refit.residuals, search.blocks, np.zeros(len(refit.residuals))).independent
-    return min(max(found, INDEPENDENT[0]), INDEPENDENT[1])
+    plays = search.objective.rollouts.commands.shape[0]
+    return min(max(found, plays * INDEPENDENT[0]), plays * INDEPENDENT[1])

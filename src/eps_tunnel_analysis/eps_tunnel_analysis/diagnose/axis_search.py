@@ -60,7 +60,8 @@ class AxisPart:
 
 def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
     """Every axis that has a signal in all plays."""
-    names = [n for n in default_free(model) if not _silent_integral(model, n)]
+    known = {name for play in plays for name in play.known}
+    names = [n for n in default_free(model) if n not in known and not _silent_integral(model, n)]
     base = {part.axis: part.free for part in by_axis(model, names, plays, None)}
     parts = []
     for axis in model.rig.axes:

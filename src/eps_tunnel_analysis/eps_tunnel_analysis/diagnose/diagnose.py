@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.compare import Comparison, compare
-from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis
+from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis, floor_known
 from eps_tunnel_analysis.diagnose.axis_search import BLOCK, KEEP_EVERY, AxisPart, axis_parts
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
@@ -56,6 +56,7 @@ def diagnose(
     told: Progress | None = None,
     experiments: bool = True,
     once: Mapping[str, float] | None = None,
+    held: Sequence[Play] = (),
 ) -> Diagnosis:
     """Names what a model lacks.
 
@@ -65,6 +66,7 @@ def diagnose(
         seed: kept with the result; nothing is drawn at random.
         only: names of effects to consider; the whole library by default.
         once: axis -> mean square in units of the noise floor before effects were added in earlier steps.
+        held: plays that are never fitted, for the held-out error; without them it is that of samples kept back.
         experiments: look for the experiment that decides, where the recordings do not.
 
     Raises:
@@ -97,11 +99,11 @@ def diagnose(
         set=probabilities,
         stated=stated,
         coverage=CALIBRATION.coverage,
-        sentence=sentence(kind, named, stated, probabilities),
+        sentence=sentence(kind, named, stated, probabilities, floor_known(plays)),
         where=tuple(s for c in before for s in c.spans if s.end - s.start >= SHORTEST),
-        given=errors_of(given),
-        before=errors_of(before),
-        after=errors_of(after),
+        given=errors_of(given, compared(model, held)),
+        before=errors_of(before, compared(base_model, held)),
+        after=errors_of(after, compared(final, held)),
         floor={a.part.axis: (a.base.overall, _refit_of(a, chosen).overall) for a in axes},
         ranking={a.part.axis: a.ranking for a in axes},
         values={n: v for n, v in final.values().items() if n in _fitted(axes, chosen)},
@@ -159,17 +161,18 @@ def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
     found = []
     for play in plays:
         names = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in play.trials.signals]
-        found.append(compare(play.trials.select(names), roll_out(model, play.trials).select(names), KS))
+        set_so = model.with_values(dict(play.known), "known of the recording")
+        found.append(compare(play.trials.select(names), roll_out(set_so, play.trials).select(names), KS))
     return found
 
 
-def errors_of(comparisons: Sequence[Comparison]) -> Errors:
-    """Means over plays and signals."""
+def errors_of(comparisons: Sequence[Comparison], held: Sequence[Comparison] = ()) -> Errors:
+    """Means over plays and signals; the held-out error over plays that were never fitted, if there are any."""
     errors = [e.command_error for c in comparisons for e in c.errors]
     kept = []
-    for c in comparisons:
+    for c in held or comparisons:
         off = np.abs(c.sim_tunnel.mean - c.real_tunnel.mean)
-        kept.append(np.nanmean(off[_kept(c.real)]))
+        kept.append(np.nanmean(off if held else off[_kept(c.real)]))
     joint_share = float(np.mean([c.alikeness[0].joint for c in comparisons]))
     return Errors(float(np.nanmean(errors)), float(np.nanmean(kept)), joint_share)
 
@@ -189,8 +192,8 @@ def _notes(
     notes = []
     if any(play.trials.count == 1 for play in plays):
         notes.append(
-            "One trial only: what the rig repeats is unknown, so the noise floor is the sensors' resolution alone and "
-            "an effect may be named where only noise was. Record five trials."
+            "One trial only: what the rig repeats is unknown, so effects are weighed against one another, one at a "
+            "time, and whether something unknown is left cannot be said. Record five trials."
         )
     for part in parts:
         if part not in moved:

@@ -63,6 +63,7 @@ def rank(
     tried: int,
     once: float = 0.0,
     odd: bool = False,
+    floor: bool = True,
 ) -> tuple[list[Ranked], float]:
     """Probabilities of the base alone, of every refit, and of something unknown.
 
@@ -73,6 +74,8 @@ def rank(
         tried: number of candidates.
         once: overall cost before effects were added to the base in earlier steps.
         odd: whether the trials differ from one another as no effect of the library makes them.
+        floor: whether the noise floor is known. If not, the base is one hypothesis among the others and nothing can be
+            said of what none of them explains.
 
     Returns:
         The ranking, most probable first, the base among it; and the probability of something unknown.
@@ -92,6 +95,10 @@ def rank(
     level = max(_judged(base), once)
     explained = [1.0 - unexplained(_judged(refit), level) for refit, _, _ in found]
     lacking = 1.0 - repeated * float(np.sum(shares * np.array(explained)))
+    if not floor:
+        alone = -0.5 * independent * np.log(max(_judged(base), 1e-12))
+        others = np.logaddexp.reduce(scores / CALIBRATION.temperature) if len(scores) else -np.inf
+        none, lacking = float(1.0 / (1.0 + np.exp(others - alone / CALIBRATION.temperature))), 0.0
     ranked = [
         Ranked(
             refit.effects,

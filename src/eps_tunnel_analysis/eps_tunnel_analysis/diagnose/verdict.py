@@ -110,8 +110,15 @@ def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, t
     return ("complete" if first == NONE else "effect"), named, stated
 
 
-def sentence(kind: Kind, effects: Sequence[str], stated: Sequence[str], probabilities: Mapping[str, float]) -> str:
-    """The verdict in plain words."""
+def sentence(
+    kind: Kind, effects: Sequence[str], stated: Sequence[str], probabilities: Mapping[str, float], floor: bool = True
+) -> str:
+    """The verdict in plain words; `floor` tells whether trials were repeated."""
+    if kind == "complete" and not floor:
+        return (
+            f"No effect of the library explains more ({probabilities[NONE]:.0%}); whether what is left is noise, one "
+            "trial does not tell."
+        )
     if kind == "complete":
         return f"Nothing is missing within the noise ({probabilities[NONE]:.0%})."
     if kind == "unknown":

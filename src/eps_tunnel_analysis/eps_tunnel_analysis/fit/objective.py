@@ -2,7 +2,7 @@
 """From a model and recorded plays to residuals: one roll-out per command, simulated minus mean measured."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,12 +24,14 @@ class Rollouts:
         commands: (c, T, u) rad.
         initial: signal -> (c,) at the first sample, NaN where unseen.
         with_ball: whether the ball is simulated.
+        known: full parameter name -> (c,), what is known to differ between the plays.
     """
 
     time: Array
     commands: Array
     initial: dict[str, Array]
     with_ball: bool
+    known: dict[str, Array] = field(default_factory=dict)
 
 
 class Objective:
@@ -68,7 +70,7 @@ class Objective:
         self.model, self.free = model, tuple(free)
         self.signals = compared_signals(model, [play.trials for play in plays], signals)
         self.timestep, self.nthread = timestep, nthread
-        self.rollouts = rollouts(model, [play.trials for play in plays])
+        self.rollouts = replace(rollouts(model, [play.trials for play in plays]), known=known_values(model, plays))
         self._columns: tuple[int, ...] | None = None
         means, lowers, uppers, blocks, self._picks = [], [], [], [], []
         for number, play in enumerate(plays):
@@ -94,6 +96,7 @@ class Objective:
             self.rollouts.time,
             self.rollouts.commands,
             self.rollouts.initial,
+            per_command=self.rollouts.known,
             with_ball=self.rollouts.with_ball,
             timestep=self.timestep,
             nthread=self.nthread,
@@ -107,6 +110,20 @@ class Objective:
     def __getstate__(self) -> dict[str, Any]:
         # A worker elsewhere has its own number of cores.
         return {**self.__dict__, "nthread": 0}
+
+
+def known_values(model: Model, plays: Sequence[Play]) -> dict[str, Array]:
+    """Full parameter name -> (c,) of what is known of some plays; the model's value for the others.
+
+    Raises:
+        InputError: a name that the model lacks.
+    """
+    names = list(dict.fromkeys(name for play in plays for name in play.known))
+    infos = model.parameters()
+    wrong = [unknown_name("parameter", name, infos) for name in names if name not in infos]
+    if wrong:
+        raise InputError(wrong)
+    return {name: np.array([play.known.get(name, infos[name].value) for play in plays]) for name in names}
 
 
 def compared_signals(model: Model, trials: Sequence[Trials], asked: Iterable[str] | None = None) -> tuple[str, ...]:
