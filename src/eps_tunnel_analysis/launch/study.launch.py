@@ -28,6 +28,7 @@ ARGUMENTS: dict[str, tuple[SomeSubstitutionsType, str]] = {
     "trials": ("0", "Number of trials; 0: as the sequence says."),
     "record": ("false", "Whether one bag per side is recorded."),
     "folder": ("", "Folder for the bags; empty: a new one under out/."),
+    "monitor": ("false", "Whether the page to watch is served, on http://localhost:8765/."),
 }
 
 
@@ -58,5 +59,12 @@ def generate_launch_description() -> LaunchDescription:
             part("labyrinth_sim", "sim.launch.py", {"model": "model"}),
             Node(package="eps_tunnel_analysis", executable="analysis_node", output="screen", parameters=[file]),
             Node(package="eps_tunnel_analysis", executable="player", output="screen", parameters=[file, play]),
+            Node(
+                package="eps_tunnel_analysis",
+                executable="monitor",
+                output="screen",
+                parameters=[file],
+                condition=IfCondition(LaunchConfiguration("monitor")),
+            ),
         ]
     )

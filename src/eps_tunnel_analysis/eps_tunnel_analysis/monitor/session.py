@@ -11,7 +11,7 @@ from eps_tunnel_analysis.monitor.floor import rig_of
 from eps_tunnel_analysis.monitor.parts import Choices, Connections, Job, Run
 from eps_tunnel_analysis.monitor.requests import Add, Arm, Diagnose, Play, Request, Stop
 from eps_tunnel_analysis.monitor.state import State
-from eps_tunnel_analysis.monitor.steps import Steps
+from eps_tunnel_analysis.monitor.steps import BY_HAND, Steps
 from eps_tunnel_analysis.monitor.work import Done, Work, verdict_of
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_sim import config
@@ -122,6 +122,8 @@ class Session:
     def loaded(self, success: bool, message: str) -> None:
         """The simulation answered whether it runs the model."""
         self._loading = False
+        if not success:
+            self._steps.announce(BY_HAND, None)
         self._state.note(message, "info" if success else "error")
 
     def close(self) -> None:

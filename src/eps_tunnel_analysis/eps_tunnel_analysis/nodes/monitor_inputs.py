@@ -144,6 +144,6 @@ def _verdict(told: Diagnosis, model: str) -> Verdict:
     return Verdict(
         verdict=told.verdict, sentence=told.sentence, effects=tuple(told.effects),
         hypotheses=tuple((name, p, False) for name, p in pairs), where=(), coverage=told.coverage,
-        held_out=(None, told.held_out_before, told.held_out_after), model=model, next_experiment=told.next_experiment,
+        held_out=(told.held_out_before, None, told.held_out_after), model=model, next_experiment=told.next_experiment,
         report="", notes=(),
     )  # fmt: skip

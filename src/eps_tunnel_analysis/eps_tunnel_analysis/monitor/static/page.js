@@ -75,4 +75,5 @@ let width = innerWidth;
 addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; again(); } });
 setInterval(() => { if (socket.readyState === WebSocket.OPEN && performance.now() - heard > SILENCE) socket.close(); }, 1000);
 addEventListener("online", () => { delay = 250; });
+if (location.search) history.replaceState(null, "", "/"); // the cookie shows the token from now on
 connect();

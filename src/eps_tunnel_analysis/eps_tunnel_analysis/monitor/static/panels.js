@@ -72,9 +72,10 @@ export function showVerdict(told) {
   const names = [...new Set([told.effects.join(" + "), ...shown.map(([name]) => name)])].filter((n) => n && n !== "none" && n !== "unknown");
   element("adding").hidden = !names.length;
   element("effect").replaceChildren(...names.map((name) => { const option = make("option", name); option.value = name; return option; }));
-  const more = element("verdict-more"), degrees = (v) => (v === null ? "–" : `${(v * 180 / Math.PI).toFixed(3)} deg`);
+  const more = element("verdict-more"), degrees = (v) => `${(v * 180 / Math.PI).toFixed(3)} deg`;
   const [given, refitted, after] = told.held_out;
-  const lines = [`Error on samples kept from the fit: ${degrees(given)} as given, ${degrees(refitted)} with values refitted${told.effects.length ? `, ${degrees(after)} with the effect` : ""}.`];
+  const errors = [[given, "as given"], [refitted, "with values refitted"], [told.effects.length ? after : null, "with the effect"]].filter(([v]) => v !== null);
+  const lines = errors.length ? [`Error on samples kept from the fit: ${errors.map(([v, when]) => `${degrees(v)} ${when}`).join(", ")}.`] : [];
   const where = told.where.filter(([signal]) => signal !== "jointly").sort((a, b) => (b[2] - b[1]) - (a[2] - a[1])).slice(0, 3);
   if (where.length) lines.push(`Longest outside the tunnel, values refitted: ${where.map(([signal, start, end]) => `${signal} ${start.toFixed(2)} to ${end.toFixed(2)} s`).join(", ")}.`);
   if (told.next_experiment) lines.push("Next: play the proposed sequence, the first in the list.");
