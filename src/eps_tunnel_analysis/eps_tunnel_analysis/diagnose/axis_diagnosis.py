@@ -27,7 +27,10 @@ FAR = 4.0  # times what may be left; further away a third effect is not looked f
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
 PROMISE = 0.6  # of the cost: where little is left, one more effect is looked for only if a look promises less
-INDEPENDENT = (30.0, 100.0)  # samples of a play, at least: what is left may be correlated for long and still tells models apart;
+INDEPENDENT = (
+    30.0,
+    100.0,
+)  # samples of a play, at least: what is left may be correlated for long and still tells models apart;
 # and at most: no model is so exact that a few percent of what noise leaves would tell them apart
 
 Progress = Callable[[str, int], None]

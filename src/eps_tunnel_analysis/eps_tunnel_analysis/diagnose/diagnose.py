@@ -91,7 +91,7 @@ def diagnose(
     given, before, after = (compared(m, plays) for m in (model, base_model, final))
     experiment = None
     if experiments and kind == "undecided":
-        experiment = next_experiment(axes, base_model, stated)
+        experiment = next_experiment(axes, base_model, stated, floor_known(plays))
     evaluations = sum(axis.search.evaluations for axis in axes)
     verdict = Verdict(
         verdict=kind,

@@ -33,7 +33,8 @@ class Experiment:
         name: of the sequence.
         command: what is played.
         rivals: the hypotheses that it separates.
-        misfit: expected root mean square difference between them, in units of the noise floor.
+        misfit: expected root mean square difference between them, in units of the noise floor, or of what the best
+            model leaves where that is unknown.
         reason: in words.
     """
 
@@ -97,8 +98,14 @@ def _shapes(size: float) -> dict[str, list[Shape]]:
     }  # fmt: skip
 
 
-def next_experiment(axes: Sequence[AxisDiagnosis], model: Model, stated: Sequence[str]) -> Experiment | None:
-    """The command on which the rivals of the stated set differ most, on the axis where they do; None without rivals."""
+def next_experiment(
+    axes: Sequence[AxisDiagnosis], model: Model, stated: Sequence[str], floor: bool = True
+) -> Experiment | None:
+    """The command on which the rivals of the stated set differ most, on the axis where they do; None without rivals.
+
+    Args:
+        floor: whether the noise floor is known; if not, what the best model leaves is the unit.
+    """
     best: Experiment | None = None
     for axis in axes:
         names = {c.name for c in axis.search.library.candidates}
@@ -111,8 +118,10 @@ def next_experiment(axes: Sequence[AxisDiagnosis], model: Model, stated: Sequenc
         if len(rivals) < 2:
             continue
         commands = menu(model, axis.part.axis)
+        unit = 1.0 if floor else math.sqrt(axis.best.overall)
         floors = {
-            s: float(np.median(axis.search.scale[axis.search.signal == i])) for i, s in enumerate(axis.part.signals)
+            s: unit * float(np.median(axis.search.scale[axis.search.signal == i]))
+            for i, s in enumerate(axis.part.signals)
         }
         table = np.array([r.values for r in rivals.values()])
         probabilities = np.array([axis.probabilities.get(" + ".join(sorted(e)) or NONE, 0.0) for e in rivals])
@@ -130,7 +139,8 @@ def next_experiment(axes: Sequence[AxisDiagnosis], model: Model, stated: Sequenc
             total = sum(probabilities[i] * probabilities[j] for i, j in combinations(range(len(table)), 2))
             size = math.sqrt(misfit / total) if total > 0 else 0.0
             if best is None or size > best.misfit:
+                named = "the noise floor" if floor else "what is left"
                 told = " and ".join(sorted(" + ".join(sorted(e)) or NONE for e in rivals))
-                reason = f"Decides between {told}: they differ by {size:.1f} times the noise floor here."
+                reason = f"Decides between {told}: they differ by {size:.1f} times {named} here."
                 best = Experiment(name, command, tuple(mine.values()), size, reason)
     return best
