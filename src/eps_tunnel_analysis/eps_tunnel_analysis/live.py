@@ -5,25 +5,20 @@ Trials are put together on the grid that `recording` uses and judged by the func
 figures after a run are those computed from its bags.
 """
 
-import math
-from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.alikeness import KS, Alikeness, alikeness
+from eps_tunnel_analysis.live_trial import SECOND, RunningTrial, Stream
 from eps_tunnel_analysis.recording.recording import TrialMark
-from eps_tunnel_analysis.recording.resample import interpolate
 from eps_tunnel_analysis.recording.trials_from_bags import MAX_GAP, RATE
 from eps_tunnel_analysis.tunnel import HALF_WIDTH, Tunnel, build_tunnel, smooth
 from labyrinth_sim.trials import Array, Trials
 
 REAL, SIM = "real", "sim"
-SECOND = 1_000_000_000  # ns
-MEMORY = 2.0
-"""s of samples kept, for a start mark that comes after the samples it begins with"""
 
 
 @dataclass(frozen=True)
@@ -69,67 +64,6 @@ class Figures:
 
 
 @dataclass
-class _Stream:
-    """Samples that come with one stamp: the joint states, or the ball."""
-
-    names: tuple[str, ...]
-    recent: deque[tuple[int, Array]] = field(default_factory=deque)
-
-    @property
-    def newest(self) -> int:
-        return self.recent[-1][0] if self.recent else -1
-
-    def add(self, stamp: int, values: Array) -> bool:
-        """False for a sample that is not after its predecessor; it is dropped."""
-        if stamp <= self.newest:
-            return False
-        self.recent.append((stamp, values))
-        while len(self.recent) > 2 and self.recent[1][0] < stamp - MEMORY * SECOND:
-            self.recent.popleft()
-        return True
-
-
-class _Trial:
-    """One running trial of one side on its grid."""
-
-    def __init__(
-        self, mark: TrialMark, signals: tuple[str, ...], streams: Mapping[str, _Stream], rate: float, max_gap: float
-    ) -> None:
-        self.mark, self.signals, self._max_gap = mark, signals, max_gap
-        self.time = np.arange(math.floor(mark.duration * rate + 1e-6) + 1) / rate
-        self.grid = mark.stamp + np.round(self.time * 1e9).astype(np.int64)
-        self.values = np.full((len(self.time), len(signals)), np.nan)
-        self.ended = False
-        # Only streams that were there at the start are waited for.
-        self._streams = {key: stream for key, stream in streams.items() if stream.newest > mark.stamp - SECOND}
-        for stream in streams.values():
-            samples = list(stream.recent)
-            for before, now in zip([None, *samples[:-1]], samples, strict=True):
-                self.add(stream.names, before, now)
-
-    def add(self, names: Sequence[str], before: tuple[int, Array] | None, now: tuple[int, Array]) -> None:
-        """Fills the grid points after the sample `before` up to the sample `now`."""
-        known = [before, now] if before is not None else [now]
-        first = int(np.searchsorted(self.grid, before[0], side="right")) if before is not None else 0
-        last = int(np.searchsorted(self.grid, now[0], side="right"))
-        if first >= last:
-            return
-        stamps = np.array([sample[0] for sample in known], dtype=np.int64)
-        for column, name in enumerate(self.signals):
-            if name in names:
-                values = np.array([sample[1][names.index(name)] for sample in known])
-                self.values[first:last, column] = interpolate(stamps, values, self.grid[first:last], self._max_gap)
-
-    def ready(self) -> int:
-        """How many grid points are known for good: every stream is past them, or silent for longer than a gap."""
-        newest = [stream.newest for stream in self._streams.values()]
-        if not newest:
-            return 0
-        known = max(min(newest), max(newest) - round(self._max_gap * 1e9))
-        return int(np.searchsorted(self.grid, known, side="right"))
-
-
-@dataclass
 class _Command:
     """All that is known of one command: finished trials per side, and what was judged."""
 
@@ -162,24 +96,29 @@ class LiveGap:
         self._smoothed = smoothed
         self._units, self._signals = dict(units or {}), tuple(signals) if signals else None
         self._rate, self._ks, self._k_sim, self._max_gap = rate, tuple(ks), k_sim, max_gap
-        self._streams: dict[str, dict[str, _Stream]] = {REAL: {}, SIM: {}}
-        self._running: dict[str, _Trial] = {}
+        self._references: dict[str, Trials] = {}
+        self._streams: dict[str, dict[str, Stream]] = {REAL: {}, SIM: {}}
+        self._running: dict[str, RunningTrial] = {}
         self._commands: dict[str, _Command] = {}
         self._current: _Command | None = None
         self._started: set[str] = set()
         self._judged = 0
+
+    def refer_to(self, sequence_hash: str, trials: Trials) -> None:
+        """Real trials recorded before, on this grid: they count as if they had been played now."""
+        self._references[sequence_hash] = trials
 
     def start(self, side: str, mark: TrialMark) -> list[Judged]:
         """A trial begins. One that still runs on this side is left out, as it has no end."""
         self.finish(side)
         self._running.pop(side, None)
         command = self._commands.get(mark.sequence_hash)
-        signals = command.signals if command is not None else self._common_signals()
-        trial = _Trial(mark, signals, self._streams[side], self._rate, self._max_gap)
+        signals = command.signals if command is not None else self._common_signals(mark.sequence_hash)
+        trial = RunningTrial(mark, signals, self._streams[side], self._rate, self._max_gap)
         if command is None and signals:
             shape = (len(trial.time), len(signals))
             command = _Command(
-                mark.sequence, trial.time, signals, {REAL: [], SIM: []},
+                mark.sequence, trial.time, signals, {REAL: self._reference(mark, trial.time, signals), SIM: []},
                 np.zeros((len(self._ks), *shape), dtype=np.bool_), np.zeros(shape, dtype=np.bool_),
             )  # fmt: skip
             self._commands[mark.sequence_hash] = command
@@ -196,7 +135,7 @@ class LiveGap:
 
     def add(self, side: str, stream: str, names: Sequence[str], stamp: int, values: Array) -> list[Judged]:
         """One measurement: `values` of the signals `names` at `stamp` (ns), NaN where not measured."""
-        known = self._streams[side].setdefault(stream, _Stream(tuple(names)))
+        known = self._streams[side].setdefault(stream, Stream(tuple(names)))
         if known.names != tuple(names):  # another publisher, or a model with other joints
             known.names = tuple(names)
             known.recent.clear()
@@ -222,6 +161,12 @@ class LiveGap:
         """The running trial was given up and does not count."""
         if self._running.pop(side, None) is not None and self._current is not None:
             self._judge_all(self._current)
+
+    def jumped(self, side: str) -> None:
+        """The clock of a side jumped: its running trial has no even time and is left out; samples are taken anew."""
+        for stream in self._streams[side].values():
+            stream.recent.clear()
+        self.abort(side)
 
     def forget(self, side: str) -> None:
         """Drops every trial of a side that is another one now, as a simulation is after its model was replaced."""
@@ -261,7 +206,17 @@ class LiveGap:
             complete=not self._running,
         )
 
-    def _common_signals(self) -> tuple[str, ...]:
+    def _reference(self, mark: TrialMark, time: Array, signals: Sequence[str]) -> list[Array]:
+        """(T, m) of each reference trial of a command."""
+        if mark.sequence_hash not in self._references:
+            return []
+        trials = self._references[mark.sequence_hash].select(signals)
+        found = np.full((trials.count, len(time), len(signals)), np.nan)
+        shared = min(len(time), len(trials.time))
+        found[:, :shared] = trials.values[:, :shared]
+        return list(found)
+
+    def _common_signals(self, sequence_hash: str) -> tuple[str, ...]:
         def measured(side: str) -> list[str]:
             return [
                 name
@@ -270,8 +225,9 @@ class LiveGap:
                 if stream.recent and not np.isnan(stream.recent[-1][1][column])
             ]
 
-        sim = measured(SIM)
-        common = tuple(name for name in measured(REAL) if name in sim)
+        sim, reference = measured(SIM), self._references.get(sequence_hash)
+        real = measured(REAL) if reference is None else reference.signals
+        common = tuple(name for name in real if name in sim)
         return tuple(name for name in self._signals if name in common) if self._signals else common
 
     def _tunnel(self, command: _Command, side: str, rows: slice) -> Tunnel | None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live figures are those of the whole trials, in whatever order the messages come."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -218,3 +218,35 @@ def test_a_clock_that_jumps_is_told_and_followed(jump: int) -> None:
     assert counts.add((4000 + jump) * SECOND, 0)
     assert (counts.clock_jumps, counts.lost, counts.reordered) == (1, 0, 0)
     assert counts.add((4000 + jump) * SECOND + 10_000_000, 0)
+
+
+def test_reference_trials_count_as_if_they_had_been_played_now() -> None:
+    run = played(5, 2, 0.3)
+    gap = LiveGap()
+    none = np.empty((2, len(TIME), 0))
+    gap.refer_to("abc", Trials(TIME, SIGNALS, ("rad", "rad"), run.trials["real"], (), none))
+    feed(gap, Played([m for m in run.messages if m[1] == "sim"], run.trials))
+    live, expected = gap.figures(), offline(run, True)
+    assert live is not None
+    assert (live.trials, live.complete) == (2, True)
+    np.testing.assert_array_equal(live.shares, expected.shares)
+    np.testing.assert_array_equal(live.joint, expected.joint)
+
+
+@pytest.mark.parametrize("jump", [-9, 3600])
+def test_after_a_jump_of_the_clock_the_running_trial_is_left_out_and_the_next_is_judged(jump: int) -> None:
+    run, gap = played(6, 3, 0.0), LiveGap()
+    middle = next(i for i, m in enumerate(run.messages) if m[2] == "mark" and m[4].trial == 1) + 60  # type: ignore[attr-defined]
+    feed(gap, Played(run.messages[:middle], run.trials))
+    for side in ("real", "sim"):
+        gap.jumped(side)
+    moved = []
+    for at, side, kind, stamp, content in run.messages[middle:]:
+        later = content if kind == "state" else replace(content, stamp=content.stamp + jump * SECOND)  # type: ignore
+        moved.append((at, side, kind, stamp + jump * SECOND, later))
+    feed(gap, Played(moved, run.trials))
+    kept = {side: values[[0, 2]] for side, values in run.trials.items()}
+    live = gap.figures()
+    assert live is not None
+    assert (live.trials, live.complete) == (2, True)
+    np.testing.assert_array_equal(live.shares, offline(Played([], kept), True).shares)

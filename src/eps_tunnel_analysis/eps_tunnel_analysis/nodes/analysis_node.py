@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -17,10 +16,12 @@ from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.live import Figures, Judged, LiveGap
 from eps_tunnel_analysis.live_counts import StampCounts
 from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
+from eps_tunnel_analysis.nodes.diagnose_server import DiagnoseServer
 from eps_tunnel_analysis.nodes.message_times import nanoseconds, to_time
 from eps_tunnel_analysis.nodes.recorder import Recorder
+from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
-from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, Srg, Trial, TunnelSample
+from labyrinth_msgs.msg import BallState, LiveCounters, Srg, Trial, TunnelSample
 from labyrinth_msgs.srv import Record
 from labyrinth_sim.errors import InputError
 
@@ -28,11 +29,11 @@ PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTE
 FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
 UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
 MODEL_KEYS = ("model", "model file", "models loaded")
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class AnalysisNode(TunnelNode):
-    """Service /record; topics /srg, /srg/tunnel, /srg/SIGNAL/alikeness, /srg/diagnosis, /srg/counters, /diagnostics."""
+    """Service /record, action /diagnose; topics /srg, /srg/tunnel, /srg/SIGNAL/alikeness, /srg/diagnosis,
+    /srg/counters, /diagnostics."""
 
     def __init__(self) -> None:
         super().__init__("analysis_node")
@@ -47,6 +48,7 @@ class AnalysisNode(TunnelNode):
         late = self.parameter("late_after", 0.1, "Age at arrival from which a message counts as late", "s", 0.001, 60)
         srg_rate = self.parameter("srg_rate", 10.0, "Messages a second on /srg", "Hz", 0.1, 100)
         images = self.parameter("images", False, "Record images, too")
+        reference = self.parameter("reference", [""], "Bags of real trials whose tunnels hold from the start")
         if not ks or min(ks) < 0 or len(set(ks)) != len(ks):
             self.complain(f"Parameter 'ks': expected different numbers of at least 0, got {list(ks)}.")
         self.check_parameters()
@@ -61,6 +63,7 @@ class AnalysisNode(TunnelNode):
             max_gap=max_gap,
             smoothed=smoothed,
         )
+        self._refer([Path(bag).expanduser() for bag in reference or () if bag], rate, max_gap)
         self._counts: dict[str, StampCounts] = {}
         self._late_after = late
         # With a told clock, of a replay say, this machine's own says nothing on how late a message came.
@@ -72,7 +75,7 @@ class AnalysisNode(TunnelNode):
         self._srg = self.create_publisher(Srg, "/srg", 10, **overridable)
         self._tunnel = self.create_publisher(TunnelSample, "/srg/tunnel", 100, **overridable)
         self._numbers: dict[str, Publisher] = {}
-        self._diagnosis = self.create_publisher(Diagnosis, "/srg/diagnosis", LATCHED)
+        self._diagnose = DiagnoseServer(self)
         self._counters = self.create_publisher(LiveCounters, "/srg/counters", 10, **overridable)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._note_models, 10)
@@ -80,7 +83,12 @@ class AnalysisNode(TunnelNode):
         self.create_timer(1 / srg_rate, self._tell_figures)
         self.create_timer(1.0, self._tell_health)
 
+    @property
+    def busy(self) -> bool:
+        return self._diagnose.busy
+
     def close(self) -> None:
+        self._diagnose.close()
         for bag in self._recorder.bags:
             self.get_logger().info(f"Closing {bag}.")
         try:
@@ -99,14 +107,14 @@ class AnalysisNode(TunnelNode):
         elif name == "joint_states":
             message = deserialize_message(raw, JointState)
             stamp = nanoseconds(message.header.stamp)
-            if self._counted(topic, stamp, arrival):
+            if self._counted(side, topic, stamp, arrival):
                 names, values = self._joint_values(message)
                 self._judged(self._gap.add(side, name, names, stamp, values))
         elif name == "ball":
             ball = deserialize_message(raw, BallState)
             stamp = nanoseconds(ball.header.stamp)
             # Where the ball is not seen there is no measurement; a gap follows.
-            if self._counted(topic, stamp, arrival) and ball.visible:
+            if self._counted(side, topic, stamp, arrival) and ball.visible:
                 self._judged(self._gap.add(side, name, ("ball_x", "ball_y"), stamp, np.array([ball.x, ball.y])))
 
     def _joint_values(self, message: JointState) -> tuple[tuple[str, ...], np.ndarray]:
@@ -119,12 +127,29 @@ class AnalysisNode(TunnelNode):
                 values += column
         return tuple(names), np.array(values)
 
-    def _counted(self, topic: str, stamp: int, arrival: int) -> bool:
+    def _refer(self, bags: list[Path], rate: float, max_gap: float) -> None:
+        """Raises InputError for what is no bag of real trials."""
+        if not bags:
+            return
+        found = to_plays([read(bag) for bag in bags], namespace="/real", rate=rate, max_gap=max_gap)
+        for play, result in zip(found.plays, found.results, strict=True):
+            if not result.sequence_hash:
+                raise InputError(f"reference: {play.name} tells no sequence; expected bags with marked trials.")
+            self._gap.refer_to(result.sequence_hash, play.trials)
+            self.get_logger().info(f"{play.trials.count} trials of {play.name} are the reference.")
+
+    def _counted(self, side: str, topic: str, stamp: int, arrival: int) -> bool:
         if self._clock_told:
             arrival = self.get_clock().now().nanoseconds
         if topic not in self._counts:
             self._counts[topic] = StampCounts(late_after=self._late_after)
-        return self._counts[topic].add(stamp, arrival)
+        counts = self._counts[topic]
+        jumps = counts.clock_jumps
+        in_order = counts.add(stamp, arrival)
+        if counts.clock_jumps > jumps:
+            self._gap.jumped(side)
+            self.get_logger().warning(f"The stamps on {topic} jumped; a trial that runs on /{side} is left out.")
+        return in_order
 
     def _marked(self, side: str, message: Trial, topic: str) -> None:
         mark = TrialMark(
