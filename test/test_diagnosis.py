@@ -45,7 +45,8 @@ def recorded(*effects: str, seed: int = 0) -> Run:
     rig = load_testbed("healthy")
     reality = rig.reality
     for effect in effects:
-        reality = hide(effect, "x", "strong").applied(reality)
+        name, _, strength = effect.partition(":")
+        reality = hide(name, "x", strength or "strong").applied(reality)
     time, targets = command().sample(100.0)
     return run_offline(replace(rig, reality=reality), time, targets, 3, seed)
 
@@ -81,10 +82,34 @@ def test_a_strong_effect_is_named_and_its_error_falls(effect: str) -> None:
     assert v.after.alikeness > v.before.alikeness
 
 
-def test_cogging_which_no_effect_describes_is_called_unknown() -> None:
-    v = diagnosed("cogging").verdict
+@pytest.mark.parametrize(
+    ("effect", "name"),
+    [
+        ("gravity_load:medium", "gravity_load.x"),
+        ("return_spring:strong", "return_spring.x"),
+        ("sensor_bias:strong", "sensor_bias.motor_x"),
+        ("sensor_delay:strong", "sensor_delay.motor_x"),
+    ],
+)
+def test_effects_on_motion_and_on_sensors_are_told_apart(effect: str, name: str) -> None:
+    v = diagnosed(effect, seed=7).verdict
+    assert name in v.stated
+    assert v.verdict in ("effect", "undecided")
+    assert len(v.stated) <= 2
+
+
+@pytest.mark.parametrize("effect", ["cogging", "irregular_commands"])
+def test_what_no_effect_describes_is_called_unknown(effect: str) -> None:
+    v = diagnosed(effect).verdict
     assert v.verdict == "unknown"
     assert v.effects == ()
+
+
+def test_a_gain_that_is_known_of_a_recording_is_played_with_it() -> None:
+    low, high = (as_play(recorded("gravity_load", seed=seed)) for seed in (1, 2))
+    found = diagnose(wrong_model(), [replace(low, known={"drive.x.p": 5.0}), high], only=["gravity_load"])
+    assert "drive.x.p" not in {name for axis in found.axes for name in axis.search.library.base}
+    assert found.verdict.verdict == "unknown"  # for both were played with 20
 
 
 def test_the_same_recordings_give_the_same_verdict_bit_for_bit() -> None:
@@ -133,8 +158,20 @@ def test_a_command_that_excites_nothing_is_told() -> None:
         diagnose(wrong_model(), [Play("still", still)])
 
 
-def test_one_trial_is_diagnosed_with_a_warning() -> None:
-    play = as_play(recorded())
+@pytest.mark.parametrize(("effects", "named"), [((), ()), (("gravity_load",), ("gravity_load.x",))])
+def test_one_trial_is_diagnosed_with_a_warning(effects: tuple[str, ...], named: tuple[str, ...]) -> None:
+    play = as_play(recorded(*effects))
     single = replace(play.trials, values=play.trials.values[:1], commands=play.trials.commands[:1])
     v = diagnose(wrong_model(), [Play("one", single)], only=["gravity_load"]).verdict
     assert any("One trial" in note for note in v.notes)
+    assert v.effects == named
+    assert v.set["unknown"] == 0.0
+
+
+def test_recordings_held_out_are_judged_and_never_fitted() -> None:
+    fitted, held = (as_play(recorded("gravity_load", seed=seed)) for seed in (3, 4))
+    alone = diagnose(wrong_model(), [fitted], only=["gravity_load"])
+    judged = diagnose(wrong_model(), [fitted], only=["gravity_load"], held=[held])
+    assert judged.verdict.values == alone.verdict.values
+    assert judged.verdict.after.held_out != alone.verdict.after.held_out
+    assert judged.verdict.after.held_out < 0.5 * judged.verdict.before.held_out

@@ -50,5 +50,5 @@ def test_uneven_timing_shows_where_it_moves() -> None:
     assert jitter == pytest.approx(0.01, rel=0.3)
 
 
-def test_three_trials_say_nothing() -> None:
+def test_three_trials_do_not_show_a_drift() -> None:
     assert found(MOTION + noise(0, 3) + 0.01 * np.arange(3)[:, None]) == (0.0, 0.0)

@@ -26,7 +26,7 @@ class Calibration:
     odd: float = 0.97
     clean: float = 0.8
     gain: float = 0.06
-    gain_weight: float = 2.0
+    gain_weight: float = 6.0
     none_width: float = 0.08
     unknown_width: float = 0.15
     temperature: float = 2.0

@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 
 from labyrinth_sim.trials import Array, Trials
 
-FEWEST = 4  # trials; in fewer, three say, one in three goes up or down by chance
+FEWEST = 4  # trials, for a drift; of three, every third set goes one way by chance
 STEADY = 6.0  # slope over its standard error, of a drift
 BEYOND = 10.0  # times what the sensors' noise alone would let the trials' means differ by
 SHARE = 0.4  # of the differences between trials, and
@@ -62,12 +62,13 @@ def repeats(trials: Trials, signals: Sequence[str]) -> tuple[Repeats, ...]:
 def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
     seen = np.isfinite(values).all(axis=0)
     values = values[:, seen]
-    if len(values) < FEWEST or values.shape[1] < 10 * SMOOTH:
+    if len(values) < 3 or values.shape[1] < 10 * SMOOTH:
         return Repeats(signal, unit, 0.0, 0.0)
     mean = values.mean(axis=0)
     offsets = (values - mean).mean(axis=1)
     rest = values - mean - offsets[:, None]
-    return Repeats(signal, unit, _drift(offsets, rest), _jitter(rest, mean, step))
+    drift = _drift(offsets, rest) if len(values) >= FEWEST else 0.0
+    return Repeats(signal, unit, drift, _jitter(rest, mean, step))
 
 
 def _drift(offsets: Array, rest: Array) -> float:
