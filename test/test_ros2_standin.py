@@ -125,6 +125,9 @@ def test_topic_echo_of_an_unknown_topic_fails_as_the_real_one() -> None:
 def test_topic_info_counts_the_ends() -> None:
     code, out, _ = ros2("topic", "info", "/real/ball")
     assert (code, out) == (0, "Type: labyrinth_msgs/msg/BallState\nPublisher count: 1\nSubscription count: 0\n")
+    code, out, _ = ros2("topic", "info", "-v", "/real/ball")
+    assert code == 0
+    assert "Node name: rig\n" in out
     assert ros2("topic", "info", "/nope")[::2] == (1, "Unknown topic '/nope'\n")
     assert ros2("topic", "type", "/real/ball")[:2] == (0, "labyrinth_msgs/msg/BallState\n")
 

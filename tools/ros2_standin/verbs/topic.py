@@ -2,7 +2,9 @@
 """Various topic related sub-commands"""
 
 import argparse
+import functools
 import time
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -15,6 +17,7 @@ from ros2_standin.messages import INVALID, interface
 from ros2_standin.verbs import add_verbs, topic_echo, topic_hz, topic_pub
 
 NAME = "topic"
+UNKNOWN = "_UNKNOWN_"
 
 
 def names_and_types(node: Node, include_hidden: bool) -> list[tuple[str, list[str]]]:
@@ -81,9 +84,16 @@ def info(args: argparse.Namespace) -> str | None:
             ("Subscription", node.count_subscribers, node.get_subscriptions_info_by_topic),
         ):
             print(f"{title} count: {count(args.topic_name)}", end=end)
-            for endpoint in endpoints(args.topic_name) if args.verbose else ():
-                print(endpoint, end=end)
+            if args.verbose:
+                # An end is known before the name of its node.
+                graph.wait_for(functools.partial(_named, endpoints, args.topic_name))
+                for endpoint in endpoints(args.topic_name):
+                    print(endpoint, end=end)
     return None
+
+
+def _named(endpoints: Callable[[str], Any], topic: str) -> bool:
+    return all(UNKNOWN not in endpoint.node_name for endpoint in endpoints(topic))
 
 
 def type_(args: argparse.Namespace) -> int | None:
