@@ -2,6 +2,7 @@
 """Records both sides, and follows the gap between them while they run."""
 
 import sys
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from eps_tunnel_analysis.live_counts import StampCounts
 from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
 from eps_tunnel_analysis.nodes.diagnose_server import DiagnoseServer
 from eps_tunnel_analysis.nodes.message_times import nanoseconds, to_time
-from eps_tunnel_analysis.nodes.recorder import Recorder
+from eps_tunnel_analysis.nodes.recorder import PERIOD, Recorder
 from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
 from labyrinth_msgs.msg import BallState, LiveCounters, Srg, Trial, TunnelSample
@@ -86,6 +87,13 @@ class AnalysisNode(TunnelNode):
     @property
     def busy(self) -> bool:
         return self._diagnose.busy
+
+    @property
+    def poll_period(self) -> float:
+        return PERIOD
+
+    def poll(self) -> None:
+        self._recorder.take()
 
     def close(self) -> None:
         self._diagnose.close()
@@ -171,9 +179,9 @@ class AnalysisNode(TunnelNode):
             # After a pause many samples are judged at once; the newest tells where things are.
             row = len(tunnel.time) - 1
             message = TunnelSample(
-                time=float(tunnel.time[row]), signals=list(tunnel.signals), mean=tunnel.mean[row],
-                lower=tunnel.lower[row], upper=tunnel.upper[row], simulated=batch.simulated[row],
-                alike=batch.alike[row].tolist(),
+                time=float(tunnel.time[row]), signals=list(tunnel.signals), mean=array("d", tunnel.mean[row]),
+                lower=array("d", tunnel.lower[row]), upper=array("d", tunnel.upper[row]),
+                simulated=array("d", batch.simulated[row]), alike=batch.alike[row].tolist(),
             )  # fmt: skip
             message.header.stamp = to_time(batch.stamp)
             self._tunnel.publish(message)
@@ -266,9 +274,9 @@ class AnalysisNode(TunnelNode):
             message=" ".join(errors) or ("recording" if bags else "not recording"),
             values=[KeyValue(key="bag", value=bag) for bag in bags],
         )
-        array = DiagnosticArray(status=[samples, recording])
-        array.header.stamp = now
-        self._diagnostics.publish(array)
+        told = DiagnosticArray(status=[samples, recording])
+        told.header.stamp = now
+        self._diagnostics.publish(told)
 
 
 def main(args: list[str] | None = None) -> int:

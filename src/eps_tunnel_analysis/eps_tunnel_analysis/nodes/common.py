@@ -4,6 +4,7 @@
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -88,8 +89,29 @@ class TunnelNode(Node):
         """True while something must be brought to its end before the process may go."""
         return False
 
+    @property
+    def poll_period(self) -> float:
+        """s between two calls of `poll`; 0 for a node that needs none."""
+        return 0.0
+
+    def poll(self) -> None:
+        """Looks for what has come outside the executor."""
+
     def close(self) -> None:
         """Brings files to their end. Called once, after the last callback."""
+
+
+LOOK = 0.05  # s between two looks at timers and services of a node that polls
+AT_ONCE = 3  # callbacks at each look
+
+
+def _polled(node: TunnelNode, executor: SingleThreadedExecutor) -> None:
+    """Polls for LOOK, then serves callbacks. A wake-up of the executor costs more than several polls."""
+    for _ in range(max(1, round(LOOK / node.poll_period))):
+        node.poll()
+        time.sleep(node.poll_period)
+    for _ in range(AT_ONCE):
+        executor.spin_once(timeout_sec=0.0)
 
 
 NodeT = TypeVar("NodeT", bound=TunnelNode)
@@ -112,9 +134,13 @@ def run_node(make: Callable[[], NodeT], args: list[str] | None = None) -> int:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         # Wakes the executor so that a signal is seen; a timeout on each spin would cost more.
-        node.create_timer(0.1, lambda: None)
+        if not node.poll_period:
+            node.create_timer(0.1, lambda: None)
         while not node.stopping.is_set() or node.busy:
-            executor.spin_once()
+            if node.poll_period:
+                _polled(node, executor)
+            else:
+                executor.spin_once()
             if signals:
                 node.stopping.set()
             if len(signals) > 1:

@@ -39,7 +39,10 @@ Listener = Callable[[str, str, bytes, int], None]
 
 
 class Recorder:
-    """One raw subscription per topic; messages go to the side's bag and to `listen(side, topic, CDR, arrival ns)`."""
+    """One raw subscription per topic; messages go to the side's bag and to `listen(side, topic, CDR, arrival ns)`.
+
+    Somebody has to call `take` every PERIOD.
+    """
 
     def __init__(self, node: Node, sides: Sequence[str], listen: Listener, images: bool = False) -> None:
         self._node, self._listen, self._images = node, listen, images
@@ -54,7 +57,6 @@ class Recorder:
         for side in sides:
             for name, kind in TOPICS.items():
                 self._subscribe(side, f"/{side}/{name}", kind)
-        node.create_timer(PERIOD, self.take)
 
     @property
     def bags(self) -> list[str]:
