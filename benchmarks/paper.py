@@ -40,7 +40,6 @@ from labyrinth_sim.rig import load_rig
 from labyrinth_sim.trials import Array, Trials
 
 RATE = 100.0  # Hz
-ROTATION_S = 1.0  # t_total of equation 10: the longest rotation of the rig is over after 0.6 s
 REST_S = 1.0  # since the last step of the command; then the rig stands still
 POSITIONS = ["motor_x", "motor_y", "board_x", "board_y"]
 PAPER_1 = {
@@ -97,7 +96,7 @@ def main() -> int:
     standard, manual = load_model("labyrinth"), load_model("labyrinth_manual")
     fits, fitted = {}, {}
     for axis in "xy":
-        fits[axis] = evolve(standard, axis, [shortened(play) for play in rotations[axis]], generations, options.seed)
+        fits[axis] = evolve(standard, axis, rotations[axis], generations, options.seed)
         fitted[axis] = standard.with_values(fits[axis].values, f"ES on phi_{axis.upper()}, seed {options.seed}")
 
     tunnel = smooth(build_tunnel(sequence.trials))
@@ -136,13 +135,6 @@ def play_all(
         run = run_offline(testbed, np.arange(len(held)) / RATE, held, trials, seed + number)
         bags.append(write_bag(out / "bags" / command.name.replace("/", "_"), run, command.name, command.hash))
     return to_plays([read(bag) for bag in bags], load_rig("labyrinth"), signals=POSITIONS).plays
-
-
-def shortened(play: Play) -> Play:
-    """The first second of a play."""
-    t, keep = play.trials, round(ROTATION_S * RATE) + 2
-    cut = replace(t, time=t.time[:keep], values=t.values[:, :keep], commands=t.commands[:, :keep])
-    return Play(play.name, cut)
 
 
 def evolve(model: Model, axis: str, plays: list[Play], generations: int, seed: int) -> Fit:
