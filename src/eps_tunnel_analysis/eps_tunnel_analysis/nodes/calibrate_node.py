@@ -59,7 +59,10 @@ class CalibrateNode(TunnelNode):
             )  # fmt: skip
         except Exception as error:  # a thread that died silently would leave the node busy for ever
             ended = Ended(False, f"The calibration failed: {error!r}.", {})
-        (self.get_logger().info if ended.success else self.get_logger().error)(ended.message)
+        if ended.success:  # rclpy knows a call by its line, and allows each one severity
+            self.get_logger().info(ended.message)
+        else:
+            self.get_logger().error(ended.message)
         handle.execute(lambda h: self._finish(h, ended))
 
     def _finish(self, handle: ServerGoalHandle[Any, Any, Any], ended: Ended) -> Calibrate.Result:

@@ -96,7 +96,10 @@ class DiagnoseServer:
                 handle.abort()
         finally:
             self._working.release()
-        (self._node.get_logger().info if content else self._node.get_logger().error)(result.message)
+        if content:  # rclpy knows a call by its line, and allows each one severity
+            self._node.get_logger().info(result.message)
+        else:
+            self._node.get_logger().error(result.message)
         return result
 
 
