@@ -122,11 +122,12 @@ def browser(program: str, folder: Path) -> Iterator[Page]:
     options = ["--headless=new", "--remote-debugging-port=0", f"--user-data-dir={folder / 'profile'}", "--no-sandbox",
                "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking",
                "--disable-component-update", "--disable-sync", "--hide-scrollbars", "about:blank"]  # fmt: skip
+    told = folder / "profile" / "DevToolsActivePort"
+    told.unlink(missing_ok=True)  # of an earlier browser
     with (folder / "chromium.log").open("wb") as log:
         process = subprocess.Popen([program, *options], stdout=log, stderr=log, start_new_session=True)
     loop = asyncio.new_event_loop()
     try:
-        told = folder / "profile" / "DevToolsActivePort"
         deadline = time.monotonic() + PATIENCE
         while not (told.exists() and len(told.read_text().split()) == 2):
             assert process.poll() is None, (folder / "chromium.log").read_text()

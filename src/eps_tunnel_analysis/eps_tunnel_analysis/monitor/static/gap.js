@@ -42,6 +42,6 @@ function item(name, stroke, dashed = false) {
   const span = document.createElement("span"), line = document.createElement("i");
   line.style.borderTopColor = stroke;
   if (dashed) line.style.borderTopStyle = "dashed";
-  span.append(line, ` ${name}`);
+  span.append(line, name);
   return span;
 }
