@@ -55,7 +55,8 @@ class Port(PortHandler):  # type: ignore[misc]  # the SDK has no types
         self.patience = patience
 
     def openPort(self) -> bool:
-        """Open and lock. Raises PortError."""
+        """Open and lock; what a try that failed halfway left open is closed first. Raises PortError."""
+        self.closePort()
         self.ser = open_exclusively(self.port_name, self.baudrate)
         self.is_open = True
         self.tx_time_per_byte = 10_000.0 / self.baudrate

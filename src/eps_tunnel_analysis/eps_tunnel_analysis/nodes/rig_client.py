@@ -21,7 +21,7 @@ from labyrinth_msgs.action import PlaySequence
 from labyrinth_msgs.msg import Diagnosis
 from labyrinth_msgs.srv import LoadModel
 
-PATIENCE = 40.0  # s, for a node to appear
+PATIENCE = 90.0  # s, for a node to appear; a busy machine takes its time
 CANCEL = 10.0  # s, for the player to end after it was told to
 
 

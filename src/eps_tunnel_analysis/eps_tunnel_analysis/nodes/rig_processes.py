@@ -15,7 +15,7 @@ from eps_tunnel_analysis.nodes.domain import own_domain
 from eps_tunnel_analysis.nodes.processes import ProcessDied, Processes, executable
 from labyrinth_sim.errors import InputError
 
-START_TIMEOUT = 40.0  # s
+START_TIMEOUT = 90.0  # s; a busy machine takes its time
 DRAW = "?"
 
 
