@@ -63,7 +63,7 @@ def test_ctrl_c_stops_the_rig_and_leaves_notebook_and_bags_whole(tmp_path: Path)
     process = started(tmp_path)
     log = tmp_path / "notebook" / "logs" / "analysis_node.log"
     try:
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 300
         while not (log.exists() and "Recording" in log.read_text()):
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < deadline
