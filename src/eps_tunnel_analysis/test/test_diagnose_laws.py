@@ -87,6 +87,17 @@ def test_a_value_more_is_paid_for() -> None:
     assert by_name["a.x"] > by_name["b.x"]
 
 
+@pytest.mark.parametrize(("base", "best"), [(0.9, 0.85), (80.0, 0.9), (80.0, 60.0)])
+def test_a_drift_is_always_unknown_and_uneven_timing_never_complete(base: float, best: float) -> None:
+    refits = [refit(("a.x",), best), refit(("b.x",), 1.1 * best)]
+    for drifts in (True, False):
+        ranked, unknown = rank(refit((), base), refits, 100.0, 30, drifts=drifts, uneven=not drifts)
+        found = {r.name: r.probability for r in ranked} | {UNKNOWN: unknown}
+        assert sum(found.values()) == pytest.approx(1.0)
+        explained = base > 10.0 and best < 10.0
+        assert max(found, key=lambda n: found[n]) == ("a.x" if explained and not drifts else UNKNOWN)
+
+
 def test_axes_are_joined_as_products() -> None:
     found = joint([{"a.x": 0.8, NONE: 0.1, UNKNOWN: 0.1}, {"b.y": 0.5, NONE: 0.5}])
     assert sum(found.values()) == pytest.approx(1.0)

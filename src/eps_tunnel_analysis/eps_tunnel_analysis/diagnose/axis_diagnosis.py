@@ -102,7 +102,7 @@ def diagnose_axis(
                 break
     independent = _independent(search, _lowest([base, *refits]))
     odd = tuple(r for play in plays for r in repeats(play.trials, _positions(model, part)) if r.sentence)
-    ranking, unknown = rank(base, refits, independent, tried, once, bool(odd), floor)
+    ranking, unknown = rank(base, refits, independent, tried, once, any(o.drift for o in odd), bool(odd), floor)
     probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
     return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities, odd)
 

@@ -62,7 +62,8 @@ def rank(
     independent: float,
     tried: int,
     once: float = 0.0,
-    odd: bool = False,
+    drifts: bool = False,
+    uneven: bool = False,
     floor: bool = True,
 ) -> tuple[list[Ranked], float]:
     """Probabilities of the base alone, of every refit, and of something unknown.
@@ -73,7 +74,9 @@ def rank(
         independent: samples that the residuals are worth.
         tried: number of candidates.
         once: overall cost before effects were added to the base in earlier steps.
-        odd: whether the trials differ from one another as no effect of the library makes them.
+        drifts: whether the rig drifts from trial to trial: something is missing, whatever else is.
+        uneven: whether the trials differ by their timing: nothing is complete then, but an effect may still explain the
+            rest.
         floor: whether the noise floor is known. If not, the base is one hypothesis among the others and nothing can be
             said of what none of them explains.
 
@@ -89,20 +92,20 @@ def rank(
     scores = np.array([score for _, _, score in found])
     shares = np.exp((scores - scores.max()) / CALIBRATION.temperature) if len(scores) else scores
     shares = shares / shares.sum() if len(scores) else shares
-    # What changes from trial to trial is missing, whatever else is.
-    repeated = 1.0 - CALIBRATION.odd if odd else 1.0
-    none *= repeated
     level = max(_judged(base), once)
     explained = [1.0 - unexplained(_judged(refit), level) for refit, _, _ in found]
-    lacking = 1.0 - repeated * float(np.sum(shares * np.array(explained)))
+    lacking = 1.0 - float(np.sum(shares * np.array(explained)))
     if not floor:
         alone = -0.5 * independent * np.log(max(_judged(base), 1e-12))
         others = np.logaddexp.reduce(scores / CALIBRATION.temperature) if len(scores) else -np.inf
         none, lacking = float(1.0 / (1.0 + np.exp(others - alone / CALIBRATION.temperature))), 0.0
+    changed = CALIBRATION.odd if drifts or uneven else 0.0
+    effects = (1.0 - none) * (1.0 - lacking) * (1.0 - CALIBRATION.odd if drifts else 1.0)
+    none *= 1.0 - changed
     ranked = [
         Ranked(
             refit.effects,
-            float((1.0 - none) * (1.0 - lacking) * share),
+            float(effects * share),
             refit.cost,
             refit.held_out,
             refit.overall,
@@ -112,7 +115,8 @@ def rank(
         for (refit, pays, _), share in zip(found, shares, strict=True)
     ]
     ranked.append(Ranked((), none, base.cost, base.held_out, base.overall, 0.0, 0.0))
-    return sorted(ranked, key=lambda r: (-r.probability, r.overall, r.effects)), (1.0 - none) * lacking
+    unknown = max(0.0, 1.0 - none - (effects if found else 0.0))
+    return sorted(ranked, key=lambda r: (-r.probability, r.overall, r.effects)), unknown
 
 
 def _judged(refit: Refit) -> float:
