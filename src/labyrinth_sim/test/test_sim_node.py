@@ -109,6 +109,24 @@ def test_the_node_obeys_changes_its_model_and_leaves_cleanly(watcher: Watcher) -
     assert "Traceback" not in errors
 
 
+def test_commands_that_piled_up_are_not_followed_one_by_one(watcher: Watcher) -> None:
+    node = start("model:=labyrinth_manual", "real_time_factor:=50.0")  # more than it can: its thread is always busy
+    many = watcher.node.create_publisher(JointState, "/sim/joint_commands", 50)
+    try:
+        watcher.until(lambda: len(watcher.states) > 20 and many.get_subscription_count() > 0)
+        node.send_signal(signal.SIGSTOP)
+        for angle in [-0.05] * 45 + [0.05]:
+            many.publish(JointState(name=["motor_x"], position=[angle]))
+        node.send_signal(signal.SIGCONT)
+        heard = len(watcher.states)
+        watcher.until(lambda: watcher.angle("motor_x") > 0.045)
+        assert min(s.position[list(s.name).index("motor_x")] for s in watcher.states[heard:]) > -0.035
+    finally:
+        node.send_signal(signal.SIGCONT)
+        node.send_signal(signal.SIGINT)
+        node.communicate(timeout=PATIENCE)
+
+
 def test_the_clock_runs_at_the_factor_asked_for(watcher: Watcher) -> None:
     node = start("real_time_factor:=4.0")
     try:

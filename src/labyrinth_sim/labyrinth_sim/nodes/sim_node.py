@@ -61,7 +61,7 @@ class SimNode(Node):
         self._events = self.create_publisher(BallEvent, f"{prefix}/{topics['ball_event']}", **qos)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._clocks = self.create_publisher(ClockMessage, "/clock", 10) if self._factor != 1.0 else None
-        self.create_subscription(JointState, f"{prefix}/{topics['commands']}", self._command, **qos)
+        self._commands = self.create_subscription(JointState, f"{prefix}/{topics['commands']}", self._command, **qos)
         self.create_service(Trigger, f"{prefix}/reset", self._reset)
         self.create_service(Trigger, f"{prefix}/supply_ball", self._supply)
         self.create_service(LoadModel, f"{prefix}/load_model", self._load)
@@ -128,8 +128,15 @@ class SimNode(Node):
             axis = self._model.rig.axes[channels.index(name)]
             self._target[channels.index(name)] = np.clip(angle, *axis.limits)
 
+    def _hear(self) -> None:
+        """Takes all commands that wait: the executor takes one at a time, and what piled up once would stay late."""
+        with self._commands.handle:
+            while (taken := self._commands.handle.take_message(JointState, False)) is not None:
+                self._command(taken[0])
+
     def _tick(self) -> None:
         """Simulates up to now; counts samples from the beginning, so that nothing drifts."""
+        self._hear()
         step = self._stepper.step
         passed = (time.monotonic() - self._began) * self._factor - self._skipped
         due = int(passed / step) - self._done
