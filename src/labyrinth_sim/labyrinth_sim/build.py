@@ -47,6 +47,10 @@ class Plan:
     effects: tuple[Placed, ...]
     with_ball: bool
 
+    def acting(self, values: Values) -> list[Placed]:
+        """The effects that change anything in some simulation; without the others every bit is the same."""
+        return [placed for placed in self.effects if placed.acts(values).any()]
+
 
 def compiled(model: "Model", with_ball: bool, timestep: float | None = None) -> Plan:
     """Compiles a model's structure.

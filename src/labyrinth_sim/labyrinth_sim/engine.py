@@ -45,7 +45,7 @@ class Engine:
         self.fields["opt.timestep"][...] = step / self.substeps
         self._values = values
         self._set_fields(values)
-        acting = [p for p in plan.effects if p.acts(values).any()]  # the others would change no bit
+        acting = plan.acting(values)
         self._hooks = [(p, _local(values, p.prefix)) for p in acting if p.effect.step]
         self._errors = [[(p, _local(values, p.prefix)) for p in acting if p.effect.error and p.site.channel == i]
                         for i in range(len(plan.drives))]  # fmt: skip
@@ -196,11 +196,12 @@ def _local(values: Values, prefix: str) -> dict[str, Array]:
 def command_filters(plan: Plan, values: Values, step: float, start: Array) -> list[list[Filter]]:
     """The filters of each command channel in order, the drive's own last. `start` is (nsim, u) rad."""
     chains: list[list[Filter]] = []
+    acting = plan.acting(values)
     for i, (drive, prefix, site) in enumerate(plan.drives):
         made = [
             placed.effect.command(_local(values, placed.prefix), placed.site, step, start[:, i])
-            for placed in plan.effects
-            if placed.effect.command and placed.site.channel == i and placed.acts(values).any()
+            for placed in acting
+            if placed.effect.command and placed.site.channel == i
         ]
         made.append(drive.target(_local(values, prefix), site, step, start[:, i]) if drive.target else None)
         chains.append([f for f in made if f is not None])
@@ -211,11 +212,12 @@ def measure_filters(model: Model, plan: Plan, values: Values, step: float, first
     """The filters of each signal in order; `first` is (nsim, m), the first sample."""
     names = [m.signal for m in model.rig.measured] + (list(BALL_SIGNALS) if plan.with_ball else [])
     chains: list[list[Filter]] = []
+    acting = plan.acting(values)
     for column, signal in enumerate(names):
         made = [
             placed.effect.measure(_local(values, placed.prefix), site, step, first[:, column])
-            for placed in plan.effects
-            if placed.effect.measure and (site := _sees(placed, signal)) is not None and placed.acts(values).any()
+            for placed in acting
+            if placed.effect.measure and (site := _sees(placed, signal)) is not None
         ]
         chains.append([f for f in made if f is not None])
     return chains

@@ -145,15 +145,17 @@ def simulate_batch(
     out = np.empty((n * c, len(grid), len(columns)))
     messages: dict[tuple[int, int], str] = {}
     steps = done = 0
-    given = dict(per_command or {})
-    for which in _groups(plan, model, names, table, given, c):
-        sets, plays = which // c, which % c
-        numbers = _numbers(model, names, table[sets], given, plays)
-        first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays] for name, v in (initial or {}).items()}
+    sets, plays = np.divmod(np.arange(n * c), c)
+    every_number = numbers_of(model, n * c)
+    every_number |= {name: table[sets, column] for column, name in enumerate(names)}
+    every_number |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
+    for which in _groups(plan, every_number, n * c):
+        numbers = {name: given[which] for name, given in every_number.items()}
+        first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays[which]] for name, v in (initial or {}).items()}
         engine = Engine(model, plan, numbers, len(which), step, nthread)
-        out[which] = _roll_out(model, plan, engine, numbers, step, block[plays], first)[:, :, columns]
+        out[which] = _roll_out(model, plan, engine, numbers, step, block[plays[which]], first)[:, :, columns]
         out[which[engine.failed]] = np.nan
-        messages |= {(int(sets[i]), int(plays[i])): text for i, text in engine.messages.items()}
+        messages |= {(int(sets[which[i]]), int(plays[which[i]])): text for i, text in engine.messages.items()}
         steps += len(which) * engine.substeps * (len(grid) - 1)
         done += len(which)
         if progress:
@@ -167,24 +169,11 @@ def simulate_batch(
     return BatchResult(chosen, units, seen, failed, messages, steps)
 
 
-def _numbers(
-    model: Model, names: Sequence[str], table: Array, per_command: Mapping[str, ArrayLike], plays: NDArray[np.int64]
-) -> dict[str, Array]:
-    """Full parameter name -> (nsim,), for simulations of these rows of values and these commands."""
-    numbers = numbers_of(model, len(table))
-    numbers |= {name: table[:, column] for column, name in enumerate(names)}
-    return numbers | {name: np.asarray(given, float)[plays] for name, given in per_command.items()}
-
-
-def _groups(
-    plan: Plan, model: Model, names: Sequence[str], table: Array, per_command: Mapping[str, ArrayLike], c: int
-) -> Iterator[NDArray[np.int64]]:
+def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int) -> Iterator[NDArray[np.int64]]:
     """Simulations to step together, by number: those that MuJoCo can do alone, and those with work at every step."""
-    everyone = np.arange(len(table) * c)
-    numbers = _numbers(model, names, table[everyone // c], per_command, everyone % c)
     stepping = [p.acts(numbers) for p in plan.effects if p.effect.step or p.effect.error]
-    busy = np.any(stepping, axis=0) if stepping else np.zeros(len(everyone), dtype=bool)
-    for group in (everyone[~busy], everyone[busy]):
+    busy = np.any(stepping, axis=0) if stepping else np.zeros(nsim, dtype=bool)
+    for group in (np.flatnonzero(~busy), np.flatnonzero(busy)):
         for low in range(0, len(group), CHUNK):
             yield group[low : low + CHUNK]
 

@@ -27,11 +27,8 @@ FAR = 4.0  # times what may be left; further away a third effect is not looked f
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
 PROMISE = 0.6  # of the cost: where little is left, one more effect is looked for only if a look promises less
-INDEPENDENT = (
-    30.0,
-    100.0,
-)  # samples of a play, at least: what is left may be correlated for long and still tells models apart;
-# and at most: no model is so exact that a few percent of what noise leaves would tell them apart
+LEAST_INDEPENDENT = 30.0  # samples of a play: what is left may be correlated for long and still tells models apart
+MOST_INDEPENDENT = 100.0  # no model is so exact that a few percent of what noise leaves would tell it from another
 
 Progress = Callable[[str, int], None]
 """Told what is being done and how many roll-outs were made."""
@@ -89,16 +86,17 @@ def diagnose_axis(
         refits += rival_refits(search, best, refits)
         best = _lowest([base, *refits])
         # Without a floor nothing says when to stop, so one effect at a time is judged.
+        enough = allowed(max(base.overall, once))
         while floor and best.overall > CALIBRATION.gate and 0 < len(best.effects) < MOST_EFFECTS:
-            few = best.overall <= allowed(max(base.overall, once))
+            few = best.overall <= enough
             found = next_refits(search, best, PAIR_SHORTLIST, PROMISE if few else np.inf)
             found += rival_refits(search, _lowest(found), [*refits, *found]) if found else []
-            if not found or not _needed(_lowest(found), best, max(base.overall, once), search, tried):
+            if not found or not _needed(_lowest(found), best, few, search, tried):
                 break
             refits += [r for r in found if set(r.effects) not in [set(o.effects) for o in refits]]
             fuller = _lowest(found)
             best = _without_idle(search, fuller, refits, tried)
-            if best is not fuller or best.overall > FAR * allowed(max(base.overall, once)):
+            if best is not fuller or best.overall > FAR * enough:
                 break
     independent = _independent(search, _lowest([base, *refits]))
     odd = tuple(r for play in plays for r in repeats(play.trials, _positions(model, part)) if r.sentence)
@@ -129,10 +127,11 @@ def _better_base(search: Search, base: Refit, refits: Sequence[Refit]) -> Refit:
     return base
 
 
-def _needed(more: Refit, best: Refit, base: float, search: Search, tried: int) -> bool:
-    """Whether one more effect is called for: it pays, and takes away most of what is left where little may be left."""
-    few = best.overall <= allowed(base) and more.overall > CALIBRATION.second * best.overall
-    return not few and _worth(more, best, search, tried)
+def _needed(more: Refit, best: Refit, few: bool, search: Search, tried: int) -> bool:
+    """Whether one more effect is called for: it pays, and where `few` is left anyway, it takes away most of that."""
+    if few and more.overall > CALIBRATION.second * best.overall:
+        return False
+    return _worth(more, best, search, tried)
 
 
 def _worth(more: Refit, best: Refit, search: Search, tried: int) -> bool:
@@ -155,4 +154,4 @@ def _without_idle(search: Search, found: Refit, singles: Sequence[Refit], tried:
 def _independent(search: Search, refit: Refit) -> float:
     found = gate(refit.residuals, search.blocks, np.zeros(len(refit.residuals))).independent
     plays = search.objective.rollouts.commands.shape[0]
-    return min(max(found, plays * INDEPENDENT[0]), plays * INDEPENDENT[1])
+    return min(max(found, plays * LEAST_INDEPENDENT), plays * MOST_INDEPENDENT)

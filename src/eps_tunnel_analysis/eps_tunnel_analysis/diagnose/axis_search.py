@@ -15,7 +15,7 @@ from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
 from eps_tunnel_analysis.diagnose.noise import noise_floor
-from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.search import Look, Refit, Search
 from eps_tunnel_analysis.fit.free import by_axis, default_free
 from eps_tunnel_analysis.fit.objective import Objective, middle
 from eps_tunnel_analysis.plays import Play
@@ -41,6 +41,9 @@ NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 SHORTLIST = 12  # candidates refitted from their looks
 LOOKS_EACH = 2
 ROUNDS = 6
+
+Job = tuple[tuple[Candidate, ...], Array]
+"""Candidates to fit together, and (K,) values to start from."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +121,7 @@ def _steady_efforts(
         calm = steady(play, channel)
         for column in columns:
             part = np.flatnonzero(objective.blocks == number * len(objective.signals) + column)
-            seen = np.isfinite(build_tunnel(play.trials.select([objective.signals[column]])).mean[:, 0])
-            found.append(part[calm[seen]])
+            found.append(part[calm[objective.samples[part]]])
     return np.concatenate(found)
 
 
@@ -128,9 +130,8 @@ def _begun(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool_]:
     found = np.zeros(len(objective.mean), dtype=bool)
     for number, play in enumerate(plays):
         late = play.trials.time - play.trials.time[0] >= SETTLED
-        for column, signal in enumerate(objective.signals):
-            part = objective.blocks == number * len(objective.signals) + column
-            found[part] = late[np.isfinite(build_tunnel(play.trials.select([signal])).mean[:, 0])]
+        part = objective.blocks // len(objective.signals) == number
+        found[part] = late[objective.samples[part]]
     return found
 
 
@@ -168,7 +169,7 @@ def floors(objective: Objective, plays: Sequence[Play], efforts: Sequence[int] =
                 size = float(np.sqrt(np.mean(calm**2))) if len(calm) else 0.0
                 own = float(np.hypot(EFFORT_STEP * np.nanmax(np.abs(mean)), EFFORT_SHARE * size))
             part = objective.blocks == number * len(objective.signals) + i
-            scale[part] = np.hypot(found.local[:, i], own)[np.isfinite(mean)]
+            scale[part] = np.hypot(found.local[:, i], own)[objective.samples[part]]
     return scale
 
 
@@ -233,7 +234,12 @@ def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST, unless: f
     looks = search.looks(points, candidates)
     if looks and looks[0].promised > unless * on.cost:
         return []
-    jobs: list[tuple[tuple[Candidate, ...], np.ndarray]] = []
+    return _rebased(search, search.best_of(_jobs(fitted, looks, shortlist), ROUNDS))
+
+
+def _jobs(fitted: tuple[Candidate, ...], looks: Sequence[Look], shortlist: float) -> list[Job]:
+    """The best looks of each of the `shortlist` most promising candidates, to be fitted on top of those fitted."""
+    jobs: list[Job] = []
     chosen: dict[str, int] = {}
     for look in looks:
         name = look.candidate.name
@@ -242,7 +248,7 @@ def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST, unless: f
             continue
         chosen[name] = count + 1
         jobs.append(((*fitted, look.candidate), look.values))
-    return _rebased(search, search.best_of(jobs, ROUNDS))
+    return jobs
 
 
 def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
@@ -262,7 +268,7 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
     """The refit with each of its effects replaced by those that it is mistaken for, where that was not tried yet."""
     known = {frozenset(r.effects) for r in tried}
-    jobs: list[tuple[tuple[Candidate, ...], np.ndarray]] = []
+    jobs: list[Job] = []
     for name in best.effects:
         others = tuple(search.library.find(n) for n in best.effects if n != name)
         mistaken = rivals(name.partition(".")[0])
@@ -274,9 +280,5 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         columns = search.columns(search.library.find(name))
         without[columns] = search.start[columns]
         rest = replace(search.at(without, best), effects=tuple(o.name for o in others))
-        count: dict[str, int] = {}
-        for look in search.looks([rest], candidates):
-            count[look.candidate.name] = count.get(look.candidate.name, 0) + 1
-            if count[look.candidate.name] <= LOOKS_EACH:
-                jobs.append(((*others, look.candidate), look.values))
+        jobs += _jobs(others, search.looks([rest], candidates), np.inf)
     return search.best_of(jobs, ROUNDS) if jobs else []

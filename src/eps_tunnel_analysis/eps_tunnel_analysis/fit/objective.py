@@ -49,6 +49,7 @@ class Objective:
         mean: (R,) measured means of all seen samples, play by play, signal by signal.
         lower, upper: (R,) half-widths of the smoothed tunnel there (equation 12).
         blocks: (R,) number of the play and signal.
+        samples: (R,) number of the sample on the play's grid.
         weights: (R,) one over the samples of the block.
     """
 
@@ -84,6 +85,7 @@ class Objective:
                 self._picks.append((number, seen, column))
         self.mean, self.lower, self.upper = (locked(np.concatenate(part)) for part in (means, lowers, uppers))
         self.blocks = np.concatenate(blocks)
+        self.samples = np.concatenate([seen for _, seen, _ in self._picks])
         counts = np.bincount(self.blocks)
         self.weights = locked(1.0 / counts[self.blocks])
 
