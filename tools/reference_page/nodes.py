@@ -19,6 +19,7 @@ ENDS = {
     "create_service": "serves",
     "create_client": "calls",
     "ActionServer": "serves the action",
+    "OneGoal": "serves the action",
     "ActionClient": "calls the action",
 }
 NAMESPACE = {"prefix", "name", "self.name", "side"}  # variables that hold /real or /sim, or the word without slash
@@ -132,8 +133,8 @@ def ends(file: Path) -> list[End]:
         kinds = imported(source)
         for node in ast.walk(parsed(source)):
             if isinstance(node, ast.Call) and _called(node) in ENDS:
-                # ActionServer and ActionClient take the node first.
-                kind, name = node.args[1:3] if _called(node).startswith("Action") else node.args[:2]
+                # What is not a method of the node takes the node first.
+                kind, name = node.args[:2] if _called(node).startswith("create_") else node.args[1:3]
                 if (topic := _topic(name)) and ast.unparse(kind) in kinds:
                     found[End(ENDS[_called(node)], topic, kinds[ast.unparse(kind)])] = None
     return sorted(found, key=lambda e: (list(ENDS.values()).index(e.how), e.name))

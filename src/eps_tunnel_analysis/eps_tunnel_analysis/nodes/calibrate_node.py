@@ -2,14 +2,10 @@
 """Fits a model to recorded bags when asked over ROS."""
 
 import sys
-import threading
-from typing import Any
-
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
 
 from eps_tunnel_analysis.fit.process import Ended, Told, run_calibration
 from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
+from eps_tunnel_analysis.nodes.one_goal import Handle, OneGoal
 from labyrinth_msgs.action import Calibrate
 
 
@@ -20,43 +16,26 @@ class CalibrateNode(TunnelNode):
         super().__init__("calibrate_node")
         self._signals = [s for s in self.parameter("signals", [""], "Signals to fit; empty: every position") or [] if s]
         self.check_parameters()
-        self._working = threading.Lock()
-        self._thread: threading.Thread | None = None
-        self._server = ActionServer(
-            self, Calibrate, "/calibrate", lambda _: Calibrate.Result(), goal_callback=self._goal,
-            handle_accepted_callback=self._accepted, cancel_callback=lambda _: CancelResponse.ACCEPT,
+        self._goals = OneGoal(
+            self, Calibrate, "/calibrate",
+            lambda goal: f"Refused to calibrate '{goal.model}': another calibration is under way.", self._work,
         )  # fmt: skip
 
     @property
     def busy(self) -> bool:
-        return self._working.locked()
+        return self._goals.busy
 
     def close(self) -> None:
-        self._server.destroy()
-        if self._thread is not None:
-            self._thread.join()
+        self._goals.close()
 
-    def _goal(self, goal: Calibrate.Goal) -> GoalResponse:
-        if self.stopping.is_set() or not self._working.acquire(blocking=False):
-            self.get_logger().warning(f"Refused to calibrate '{goal.model}': another calibration is under way.")
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
-
-    def _accepted(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
-        self._thread = threading.Thread(target=self._work, args=(handle,), name="calibrate")
-        self._thread.start()
-
-    def _work(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
+    def _work(self, handle: Handle) -> None:
         def tell(told: Told) -> None:
             handle.publish_feedback(
                 Calibrate.Feedback(progress=told.share, best=told.best, evaluations=told.evaluations)
             )
 
         try:
-            ended = run_calibration(
-                arguments(handle.request, self._signals), tell,
-                lambda: handle.is_cancel_requested or self.stopping.is_set(),
-            )  # fmt: skip
+            ended = run_calibration(arguments(handle.request, self._signals), tell, lambda: self._goals.stopped(handle))
         except Exception as error:  # a thread that died silently would leave the node busy for ever
             ended = Ended(False, f"The calibration failed: {error!r}.", {})
         if ended.success:  # rclpy knows a call by its line, and allows each one severity
@@ -65,16 +44,8 @@ class CalibrateNode(TunnelNode):
             self.get_logger().error(ended.message)
         handle.execute(lambda h: self._finish(h, ended))
 
-    def _finish(self, handle: ServerGoalHandle[Any, Any, Any], ended: Ended) -> Calibrate.Result:
-        try:
-            if ended.success:
-                handle.succeed()
-            elif handle.is_cancel_requested:
-                handle.canceled()
-            else:
-                handle.abort()
-        finally:
-            self._working.release()
+    def _finish(self, handle: Handle, ended: Ended) -> Calibrate.Result:
+        self._goals.settle(handle, ended.success)
         return result(ended)
 
 

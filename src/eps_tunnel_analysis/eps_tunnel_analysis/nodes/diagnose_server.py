@@ -3,16 +3,13 @@
 
 import json
 import math
-import threading
 from pathlib import Path
 from typing import Any
-
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
 
 from eps_tunnel_analysis.command_process import run_command
 from eps_tunnel_analysis.nodes.common import TunnelNode
 from eps_tunnel_analysis.nodes.diagnosis_message import LATCHED, diagnosis_message
+from eps_tunnel_analysis.nodes.one_goal import Handle, OneGoal
 from labyrinth_msgs.action import Diagnose
 from labyrinth_msgs.msg import Diagnosis
 
@@ -24,36 +21,22 @@ class DiagnoseServer:
 
     def __init__(self, node: TunnelNode) -> None:
         self._node = node
-        self._working = threading.Lock()
-        self._thread: threading.Thread | None = None
         self._verdicts = node.create_publisher(Diagnosis, "/srg/diagnosis", LATCHED)
-        self._server = ActionServer(
-            node, Diagnose, "/diagnose", lambda _: Diagnose.Result(), goal_callback=self._goal,
-            handle_accepted_callback=self._accepted, cancel_callback=lambda _: CancelResponse.ACCEPT,
+        self._goals = OneGoal(
+            node, Diagnose, "/diagnose",
+            lambda goal: f"Refused to diagnose '{goal.model}': another diagnosis is under way.", self._work,
         )  # fmt: skip
 
     @property
     def busy(self) -> bool:
         """While a diagnosis runs."""
-        return self._working.locked()
+        return self._goals.busy
 
     def close(self) -> None:
         """Waits for the end of what runs; `node.stopping` calls it off."""
-        self._server.destroy()
-        if self._thread is not None:
-            self._thread.join()
+        self._goals.close()
 
-    def _goal(self, goal: Diagnose.Goal) -> GoalResponse:
-        if self._node.stopping.is_set() or not self._working.acquire(blocking=False):
-            self._node.get_logger().warning(f"Refused to diagnose '{goal.model}': another diagnosis is under way.")
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
-
-    def _accepted(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
-        self._thread = threading.Thread(target=self._work, args=(handle,), name="diagnose")
-        self._thread.start()
-
-    def _work(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
+    def _work(self, handle: Handle) -> None:
         counts: dict[str, int] = {}
 
         def tell(told: dict[str, Any]) -> None:
@@ -67,9 +50,7 @@ class DiagnoseServer:
         content: dict[str, Any] = {}
         message = ""
         try:
-            output = run_command(
-                arguments(goal), tell, lambda: handle.is_cancel_requested or self._node.stopping.is_set()
-            )
+            output = run_command(arguments(goal), tell, lambda: self._goals.stopped(handle))
             if output.code == 0:
                 content = json.loads(output.text)
             else:
@@ -78,9 +59,7 @@ class DiagnoseServer:
             message = f"The diagnosis failed: {error!r}."
         handle.execute(lambda h: self._finish(h, content, message))
 
-    def _finish(
-        self, handle: ServerGoalHandle[Any, Any, Any], content: dict[str, Any], message: str
-    ) -> Diagnose.Result:
+    def _finish(self, handle: Handle, content: dict[str, Any], message: str) -> Diagnose.Result:
         result = Diagnose.Result(success=bool(content), message=message)
         try:
             if content:
@@ -89,13 +68,10 @@ class DiagnoseServer:
                 result.diagnosis = diagnosis_message(content, str((out / "report.html").resolve()))
                 result.diagnosis.header.stamp = self._node.get_clock().now().to_msg()
                 self._verdicts.publish(result.diagnosis)
-                handle.succeed()
-            elif handle.is_cancel_requested:
-                handle.canceled()
-            else:
-                handle.abort()
-        finally:
-            self._working.release()
+        except Exception:
+            self._goals.free()
+            raise
+        self._goals.settle(handle, bool(content))
         if content:  # rclpy knows a call by its line, and allows each one severity
             self._node.get_logger().info(result.message)
         else:

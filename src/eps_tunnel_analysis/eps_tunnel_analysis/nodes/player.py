@@ -3,16 +3,12 @@
 
 import math
 import sys
-import threading
 import traceback
 from collections.abc import Callable
-from typing import Any
-
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
 
 from eps_tunnel_analysis.motion import RestWatch
 from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
+from eps_tunnel_analysis.nodes.one_goal import Handle, OneGoal
 from eps_tunnel_analysis.nodes.play import Limits, Outcome, Play
 from eps_tunnel_analysis.nodes.progress import Progress, ProgressBar
 from eps_tunnel_analysis.nodes.record_client import RecordClient
@@ -51,43 +47,26 @@ class Player(TunnelNode):
         window = number("rest_time", 0.5, "How long a side must be still to be at rest", "s", 0.05, 60)
         rest_speed = number("rest_speed_deg", 0.3, "Below this speed a joint is at rest", "deg/s", 0.001, 100)
         self.check_parameters()
-        self._thread: threading.Thread | None = None
-        self._playing = threading.Lock()
         rigs = [RigSide(self, side, RestWatch(window, deg(rest_speed))) for side in sides]
         self._play = Play(self, rigs, RecordClient(self), rate, limits)
-        self._server = ActionServer(
-            self, PlaySequence, "/play_sequence", lambda _: PlaySequence.Result(), goal_callback=self._goal,
-            handle_accepted_callback=self._accepted, cancel_callback=lambda _: CancelResponse.ACCEPT,
+        self._goals = OneGoal(
+            self, PlaySequence, "/play_sequence",
+            lambda goal: f"Refused to play '{goal.sequence}': another sequence is being played.", self._play_goal,
         )  # fmt: skip
         if self._sequence:
             # A wrong name ends the process now, not when the first goal comes.
             self._play.check(find_sequence(self._sequence))
-            if autostart and self._playing.acquire(blocking=False):
-                self._thread = threading.Thread(target=self._autostart, name="player")
-                self._thread.start()
+            if autostart:
+                self._goals.begin(self._autostart)
 
     @property
     def busy(self) -> bool:
-        return self._playing.locked()
+        return self._goals.busy
 
     def close(self) -> None:
-        self._server.destroy()
-        if self._thread is not None:
-            self._thread.join()
+        self._goals.close()
 
-    def _goal(self, goal: PlaySequence.Goal) -> GoalResponse:
-        if self.stopping.is_set() or not self._playing.acquire(blocking=False):
-            self.get_logger().warning(f"Refused to play '{goal.sequence}': another sequence is being played.")
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
-
-    def _accepted(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
-        # A thread of its own keeps the clock. A blocking callback would need a multi-threaded executor, which takes
-        # twice the time of this one for every message that comes in.
-        self._thread = threading.Thread(target=self._play_goal, args=(handle,), name="player")
-        self._thread.start()
-
-    def _play_goal(self, handle: ServerGoalHandle[Any, Any, Any]) -> None:
+    def _play_goal(self, handle: Handle) -> None:
         goal: PlaySequence.Goal = handle.request
 
         def tell(progress: Progress) -> None:
@@ -97,20 +76,12 @@ class Player(TunnelNode):
 
         outcome = self._run(
             goal.sequence or self._sequence, goal.trials or self._trials, goal.record, goal.folder, tell,
-            lambda: handle.is_cancel_requested or self.stopping.is_set(),
+            lambda: self._goals.stopped(handle),
         )  # fmt: skip
         result = PlaySequence.Result(success=outcome.success, message=outcome.message, bags=list(outcome.bags))
 
-        def finish(handle: ServerGoalHandle[Any, Any, Any]) -> PlaySequence.Result:
-            try:
-                if outcome.success:
-                    handle.succeed()
-                elif handle.is_cancel_requested:
-                    handle.canceled()
-                else:
-                    handle.abort()
-            finally:
-                self._playing.release()
+        def finish(handle: Handle) -> PlaySequence.Result:
+            self._goals.settle(handle, outcome.success)
             return result
 
         handle.execute(finish)
@@ -150,7 +121,7 @@ class Player(TunnelNode):
             if not outcome.success and not self.stopping.is_set():
                 self.exit_code = 1
         finally:
-            self._playing.release()
+            self._goals.free()
             self.stopping.set()
 
 
