@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from itertools import pairwise, product
 from pathlib import Path
@@ -13,6 +14,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from short_sequence import SHORT
 
 from eps_tunnel_analysis.nodes.processes import executable
 from eps_tunnel_analysis.recording.reader import read
@@ -20,20 +24,6 @@ from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_sim.model import load_model
 
 pytestmark = pytest.mark.realtime
-SHORT = """
-description: Four seconds on one axis.
-initial_deg: {motor_x: 0, motor_y: 0}
-command:
-  motor_x:
-    - hold: {lasts_s: 0.2}
-    - step: {to_deg: 3, lasts_s: 0.5}
-    - step: {to_deg: -3, lasts_s: 0.5}
-    - ramp: {to_deg: 1, lasts_s: 0.8}
-    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
-    - step: {to_deg: 0, lasts_s: 0.4}
-  motor_y:
-    - hold: {lasts_s: 4.0}
-"""
 FEW = ("--candidates", "gravity_load", "return_spring", "sensor_bias")
 BELOW = ("testbed", "hw_node", "sim_node", "analysis_node", "player")
 

@@ -2,12 +2,17 @@
 """From an emulated rig with something wrong to its name; the rig's physics shares no line with the effects."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from short_sequence import SHORT
 
 from eps_tunnel_analysis.cli.main import main
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
@@ -20,19 +25,6 @@ from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.trials import Trials
 
-SHORT = """
-initial_deg: {motor_x: 0, motor_y: 0}
-command:
-  motor_x:
-    - hold: {lasts_s: 0.2}
-    - step: {to_deg: 3, lasts_s: 0.5}
-    - step: {to_deg: -3, lasts_s: 0.5}
-    - ramp: {to_deg: 1, lasts_s: 0.8}
-    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
-    - step: {to_deg: 0, lasts_s: 0.4}
-  motor_y:
-    - hold: {lasts_s: 4.0}
-"""
 SIGNALS = ("motor_x", "board_x", "motor_x_effort")
 FEW = ("gravity_load", "return_spring", "coulomb_friction", "sensor_bias", "positioning_error", "sensor_delay")
 

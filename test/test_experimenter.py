@@ -3,6 +3,7 @@
 
 import json
 import re
+import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
@@ -11,6 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from short_sequence import SHORT
 
 from eps_tunnel_analysis.autonomous.experimenter import Ending, Experimenter, Plan
 from eps_tunnel_analysis.autonomous.notebook import Notebook
@@ -24,19 +29,6 @@ from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate
 
-SHORT = """
-initial_deg: {motor_x: 0, motor_y: 0}
-command:
-  motor_x:
-    - hold: {lasts_s: 0.2}
-    - step: {to_deg: 3, lasts_s: 0.5}
-    - step: {to_deg: -3, lasts_s: 0.5}
-    - ramp: {to_deg: 1, lasts_s: 0.8}
-    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
-    - step: {to_deg: 0, lasts_s: 0.4}
-  motor_y:
-    - hold: {lasts_s: 4.0}
-"""
 FEW = ("gravity_load", "return_spring", "coulomb_friction", "sensor_delay")
 LIMIT = np.radians(5.0)
 

@@ -12,24 +12,14 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from short_sequence import SHORT
 
 from eps_tunnel_analysis.cli.main import main
 from eps_tunnel_analysis.recording.reader import read
 
 pytestmark = pytest.mark.realtime
-SHORT = """
-initial_deg: {motor_x: 0, motor_y: 0}
-command:
-  motor_x:
-    - hold: {lasts_s: 0.2}
-    - step: {to_deg: 3, lasts_s: 0.5}
-    - step: {to_deg: -3, lasts_s: 0.5}
-    - ramp: {to_deg: 1, lasts_s: 0.8}
-    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.2}
-    - step: {to_deg: 0, lasts_s: 0.3}
-  motor_y:
-    - hold: {lasts_s: 3.5}
-"""
 
 
 def started(folder: Path, *options: str) -> subprocess.Popen[str]:

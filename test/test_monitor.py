@@ -18,26 +18,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from browser import Page, browser, chromium
 from nodes_under_test import PATIENCE, Workplace, workplace
+from short_sequence import SHORT
 
 from eps_tunnel_analysis.nodes.monitor import main
 from eps_tunnel_analysis.nodes.processes import Processes, executable
 
 pytestmark = pytest.mark.realtime
-SHORT = """
-description: Four seconds on one axis.
-initial_deg: {motor_x: 0, motor_y: 0}
-trials: 2
-command:
-  motor_x:
-    - hold: {lasts_s: 0.2}
-    - step: {to_deg: 3, lasts_s: 0.5}
-    - step: {to_deg: -3, lasts_s: 0.5}
-    - ramp: {to_deg: 1, lasts_s: 0.8}
-    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
-    - step: {to_deg: 0, lasts_s: 0.4}
-  motor_y:
-    - hold: {lasts_s: 4.0}
-"""
 FEW = "[gravity_load, return_spring]"
 IDLE = "!document.getElementById('diagnose').disabled"
 BUSY = "document.getElementById('diagnose').disabled"
@@ -97,7 +83,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory, module_domain: int) -> Ite
         pytest.skip("needs Chromium or Chrome; name it by $CHROMIUM")
     folder = tmp_path_factory.mktemp("monitor")
     (folder / "config" / "sequences").mkdir(parents=True)
-    (folder / "config" / "sequences" / "short.yaml").write_text(SHORT)
+    (folder / "config" / "sequences" / "short.yaml").write_text(SHORT + "trials: 2\n")
     ports = folder / "ports"
     ports.mkdir()
     with workplace(folder / "nodes", module_domain) as place:

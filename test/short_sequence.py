@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sequence file that the tests of the loop play: short, and yet it excites what they look for."""
+
+SHORT = """
+description: Four seconds on one axis.
+initial_deg: {motor_x: 0, motor_y: 0}
+command:
+  motor_x:
+    - hold: {lasts_s: 0.2}
+    - step: {to_deg: 3, lasts_s: 0.5}
+    - step: {to_deg: -3, lasts_s: 0.5}
+    - ramp: {to_deg: 1, lasts_s: 0.8}
+    - triangle: {amplitude_deg: 1.5, frequency_hz: 1.25, lasts_s: 1.6}
+    - step: {to_deg: 0, lasts_s: 0.4}
+  motor_y:
+    - hold: {lasts_s: 4.0}
+"""
