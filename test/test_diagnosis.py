@@ -20,7 +20,7 @@ from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import parse_sequence
 from labyrinth_hw.testbed.bags import write_bag
-from labyrinth_hw.testbed.hidden import hide, load_testbed
+from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.trials import Trials
@@ -34,13 +34,7 @@ def command() -> Command:
 
 
 def recorded(*effects: str, seed: int = 0) -> Run:
-    rig = load_testbed("healthy")
-    reality = rig.reality
-    for effect in effects:
-        name, _, strength = effect.partition(":")
-        reality = hide(name, "x", strength or "strong").applied(reality)
-    time, targets = command().sample(100.0)
-    return run_offline(replace(rig, reality=reality), time, targets, 3, seed)
+    return run_offline(load_testbed("healthy", effects), *command().sample(100.0), 3, seed)
 
 
 def as_play(run: Run) -> Play:
@@ -77,10 +71,10 @@ def test_a_strong_effect_is_named_and_its_error_falls(effect: str) -> None:
 @pytest.mark.parametrize(
     ("effect", "name"),
     [
-        ("gravity_load:medium", "gravity_load.x"),
-        ("return_spring:strong", "return_spring.x"),
-        ("sensor_bias:strong", "sensor_bias.motor_x"),
-        ("sensor_delay:strong", "sensor_delay.motor_x"),
+        ("gravity_load=medium", "gravity_load.x"),
+        ("return_spring=strong", "return_spring.x"),
+        ("sensor_bias=strong", "sensor_bias.motor_x"),
+        ("sensor_delay=strong", "sensor_delay.motor_x"),
     ],
 )
 def test_effects_on_motion_and_on_sensors_are_told_apart(effect: str, name: str) -> None:

@@ -6,7 +6,6 @@ import re
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from eps_tunnel_analysis.autonomous.rig import Bags, RigFailed
 from eps_tunnel_analysis.autonomous.truth import judged
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_hw.testbed.bags import write_bag
-from labyrinth_hw.testbed.hidden import load_testbed, parse_effect
+from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate
@@ -37,11 +36,7 @@ class OfflineRig:
     """The emulated rig and its simulation, stepped as fast as they can be."""
 
     def __init__(self, *effects: str, model: str = "labyrinth_manual", breaks_at: int = 0) -> None:
-        rig = load_testbed("healthy")
-        reality = rig.reality
-        for effect in effects:
-            reality = parse_effect(effect).applied(reality)
-        self._config, self._model = replace(rig, reality=reality), load_model(model)
+        self._config, self._model = load_testbed("healthy", effects), load_model(model)
         self._breaks_at = breaks_at
         self.played: list[str] = []
         self.loaded: list[str] = []

@@ -3,7 +3,6 @@
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from sensor_msgs.msg import JointState
 from eps_tunnel_analysis.nodes.message_times import to_time
 from eps_tunnel_analysis.sequence_file import parse_sequence
 from labyrinth_hw.testbed.bags import write_bag
-from labyrinth_hw.testbed.hidden import load_testbed, parse_effect
+from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import run_offline
 from labyrinth_msgs.action import Diagnose
 from labyrinth_msgs.msg import Diagnosis, LiveCounters, Srg, Trial
@@ -126,11 +125,9 @@ command:
 
 def bag(folder: Path) -> Path:
     """Three trials of the emulated rig with an unbalanced board."""
-    rig = load_testbed("healthy")
-    hidden = parse_effect("gravity_load.x=strong")
+    rig = load_testbed("healthy", ["gravity_load.x=strong"])
     command = parse_sequence(yaml.safe_load(SEQUENCE), "two", "two").commands[0]
-    time, targets = command.sample(100.0)
-    run = run_offline(replace(rig, reality=hidden.applied(rig.reality)), time, targets, 3, 1)
+    run = run_offline(rig, *command.sample(100.0), 3, 1)
     return write_bag(folder / "two_real", run, "two", "c" * 64)
 
 
