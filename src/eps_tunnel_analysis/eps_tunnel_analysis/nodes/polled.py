@@ -9,6 +9,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from labyrinth_sim.nodes.waiting import waiting
+
 
 class PolledGroup(CallbackGroup):
     """Of subscriptions that no executor waits for."""
@@ -35,7 +37,4 @@ class PolledTopic:
 
     def take(self) -> Iterator[Any]:
         """Messages that came since the last look, oldest first."""
-        subscription = self._subscription
-        with subscription.handle:
-            while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                yield taken[0]
+        return waiting(self._subscription)

@@ -26,6 +26,7 @@ from labyrinth_msgs.srv import LoadModel
 from labyrinth_sim.ball import ON_BOARD, OVER_THE_RIM, BallGame
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.nodes.waiting import waiting
 from labyrinth_sim.stepper import Stepper
 
 RELIABLE = QoSProfile(depth=50)
@@ -130,9 +131,8 @@ class SimNode(Node):
 
     def _hear(self) -> None:
         """Takes all commands that wait: the executor takes one at a time, and what piled up once would stay late."""
-        with self._commands.handle:
-            while (taken := self._commands.handle.take_message(JointState, False)) is not None:
-                self._command(taken[0])
+        for message in waiting(self._commands):
+            self._command(message)
 
     def _tick(self) -> None:
         """Simulates up to now; counts samples from the beginning, so that nothing drifts."""
