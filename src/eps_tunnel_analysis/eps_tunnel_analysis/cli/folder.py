@@ -17,6 +17,27 @@ def refuse_existing(folder: Path) -> None:
         raise InputError(f"--out {folder}: exists already and is never overwritten. Name a folder that does not exist.")
 
 
+def numbered_folder(out: Path, name: str, by: str = "--out") -> Path:
+    """Makes the folder out/NAME-N with the first N from 1 that is free; two callers at once never get the same.
+
+    Args:
+        by: by what the person names another `out`, for the complaint.
+
+    Raises:
+        InputError: none can be made.
+    """
+    number = 1
+    while True:
+        folder = out / f"{name}-{number}"
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            number += 1
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made ({error.strerror}). Choose another folder by {by}.") from error
+
+
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
     """A folder to write into, which takes its name only when everything is in it.

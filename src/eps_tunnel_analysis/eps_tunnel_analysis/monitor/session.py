@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from eps_tunnel_analysis.cli.folder import numbered_folder
 from eps_tunnel_analysis.monitor.floor import rig_of
 from eps_tunnel_analysis.monitor.parts import Choices, Connections, Job, Run
 from eps_tunnel_analysis.monitor.requests import Add, Arm, Diagnose, Play, Request, Stop
@@ -180,7 +181,7 @@ class Session:
     def _new(self, kind: str, name: str = "") -> Path:
         """A path that nothing has yet, in a folder of this session."""
         if self._folder is None:
-            self._folder = fresh_folder(self._out, "monitor")
+            self._folder = numbered_folder(self._out, "monitor", "`-p folder:=...`")
         self._made[kind] += 1
         return self._folder / (name or f"{kind}-{{}}").format(self._made[kind])
 
@@ -242,17 +243,3 @@ class Session:
         elif self._loading:
             kind, told, began = "add", "loading the model", self._began
         self._state.put(Job(kind, told, float(round(time.monotonic() - began)) if kind else 0.0))
-
-
-def fresh_folder(out: Path, name: str) -> Path:
-    """A new folder out/NAME-N, numbered from 1. Raises InputError where none can be made."""
-    number = 1
-    while True:
-        folder = out / f"{name}-{number}"
-        try:
-            folder.mkdir(parents=True)
-            return folder
-        except FileExistsError:
-            number += 1
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made ({error.strerror}). Choose another folder.") from error

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from eps_tunnel_analysis.autonomous.rig import RigFailed
+from eps_tunnel_analysis.cli.folder import numbered_folder
 from eps_tunnel_analysis.nodes.demo_walk import Walk, walk
 from eps_tunnel_analysis.nodes.processes import ProcessDied
 from eps_tunnel_analysis.nodes.rig_processes import DRAW, EmulatedRig
@@ -58,7 +59,7 @@ def main(args: Sequence[str] | None = None) -> int:
         hidden = tuple(name for name in given.effect or [HIDDEN] if name != NOTHING)
         seed = given.seed if given.seed is not None else int.from_bytes(os.urandom(2), "little")
         rig = EmulatedRig(given.testbed, given.hw, hidden, seed)
-        folder = _fresh_folder(given.out)
+        folder = numbered_folder(given.out, "demo")
         candidates = tuple(given.candidates) if given.candidates else None
         report = walk(Walk(rig, given.model, given.sequence, given.trials, candidates, folder))
     except InputError as error:
@@ -83,20 +84,6 @@ def _check(candidates: Sequence[str]) -> None:
 def _without_ros(args: Sequence[str]) -> list[str]:
     given = list(args)
     return given[: given.index("--ros-args")] if "--ros-args" in given else given
-
-
-def _fresh_folder(out: Path) -> Path:
-    """A new folder demo-N, numbered from 1; two demos at once never get the same."""
-    number = 1
-    while True:
-        folder = out / f"demo-{number}"
-        try:
-            folder.mkdir(parents=True)
-            return folder
-        except FileExistsError:
-            number += 1
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made ({error.strerror}). Choose another folder by --out.") from error
 
 
 def _count(text: str) -> int:

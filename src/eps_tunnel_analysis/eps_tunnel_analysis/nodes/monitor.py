@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from eps_tunnel_analysis.autonomous.truth import told
+from eps_tunnel_analysis.cli.folder import numbered_folder
 from eps_tunnel_analysis.monitor.access import SHORTEST_TOKEN, is_loopback, new_token
 from eps_tunnel_analysis.monitor.server import MonitorServer
-from eps_tunnel_analysis.monitor.session import Session, fresh_folder
+from eps_tunnel_analysis.monitor.session import Session
 from eps_tunnel_analysis.monitor.state import State
 from eps_tunnel_analysis.monitor.steps import Steps
 from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
@@ -184,7 +185,7 @@ def main(args: list[str] | None = None) -> int:
     try:
         load_model(given.sim)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        folder = fresh_folder(given.out, "rig")
+        folder = numbered_folder(given.out, "rig")
         rig = EmulatedRig(given.emulated, given.emulated, tuple(given.hide), given.seed, given.video)
         with rig_processes(rig, given.sim, folder) as processes:
             code = run_node(lambda: Monitor(processes), ros)

@@ -87,7 +87,7 @@ class Play:
             side.target = None
         try:
             self._connect(sequence.commands[0], run)
-            target_folder = (Path(folder).expanduser() if folder else _fresh_folder(sequence.name)) if record else None
+            target_folder = (Path(folder).expanduser() if folder else _free_path(sequence.name)) if record else None
             for command in sequence.commands:
                 with self._recording(target_folder, command, bags):
                     for number in range(trials):
@@ -293,7 +293,8 @@ class _Run:
         )
 
 
-def _fresh_folder(name: str) -> Path:
+def _free_path(name: str) -> Path:
+    """out/NAME-N with the first N from 1 that is free; the recorder makes it once it records."""
     number = 1
     while (folder := Path("out") / f"{name.replace('/', '_')}-{number}").exists():
         number += 1
