@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.alikeness import KS, Alikeness, alikeness
+from eps_tunnel_analysis.live_figures import Figures, Judged
 from eps_tunnel_analysis.live_trial import SECOND, RunningTrial, Stream
 from eps_tunnel_analysis.recording.recording import TrialMark
 from eps_tunnel_analysis.recording.trials_from_bags import MAX_GAP, RATE
@@ -19,48 +20,6 @@ from eps_tunnel_analysis.tunnel import HALF_WIDTH, Tunnel, build_tunnel, smooth
 from labyrinth_sim.trials import Array, Trials
 
 REAL, SIM = "real", "sim"
-
-
-@dataclass(frozen=True)
-class Judged:
-    """Samples judged for the first time: the tunnel of reality and the simulation in it.
-
-    Attributes:
-        real: of the real trials so far, the running one included.
-        simulated: (n, m) mean of the simulated trials.
-        alike: (n, m) at k = 1.
-        stamp: ns, of the last of the samples in the running trial.
-    """
-
-    real: Tunnel
-    simulated: Array
-    alike: NDArray[np.bool_]
-    stamp: int
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Shares of alike samples (equation 7) of one command so far.
-
-    Attributes:
-        command: its name.
-        signals: m names.
-        ks: n factors of the real tunnel.
-        shares: (m, n); NaN for a signal not seen on both sides.
-        joint: (n,) of samples alike in every signal.
-        samples: N, how many samples were judged.
-        trials: how many real trials form the tunnel, the running one included.
-        complete: whether no trial is running.
-    """
-
-    command: str
-    signals: tuple[str, ...]
-    ks: tuple[float, ...]
-    shares: Array
-    joint: Array
-    samples: int
-    trials: int
-    complete: bool
 
 
 @dataclass
@@ -99,6 +58,8 @@ class LiveGap:
         self._references: dict[str, Trials] = {}
         self._streams: dict[str, dict[str, Stream]] = {REAL: {}, SIM: {}}
         self._running: dict[str, RunningTrial] = {}
+        # Topics keep no order among each other: a trial's marks may come before the first samples of its side.
+        self._early: dict[str, list[TrialMark]] = {}
         self._commands: dict[str, _Command] = {}
         self._current: _Command | None = None
         self._started: set[str] = set()
@@ -112,17 +73,21 @@ class LiveGap:
         """A trial begins. One that still runs on this side is left out, as it has no end."""
         self.finish(side)
         self._running.pop(side, None)
-        command = self._commands.get(mark.sequence_hash)
-        signals = command.signals if command is not None else self._common_signals(mark.sequence_hash)
+        signals = self._signals_of(side, mark)
+        if not signals:
+            self._early[side] = [mark]
+            return []
+        self._early.pop(side, None)
         trial = RunningTrial(mark, signals, self._streams[side], self._rate, self._max_gap)
-        if command is None and signals:
+        command = self._commands.get(mark.sequence_hash)
+        if command is None:
             shape = (len(trial.time), len(signals))
             command = _Command(
                 mark.sequence, trial.time, signals, {REAL: self._reference(mark, trial.time, signals), SIM: []},
                 np.zeros((len(self._ks), *shape), dtype=np.bool_), np.zeros(shape, dtype=np.bool_),
             )  # fmt: skip
             self._commands[mark.sequence_hash] = command
-        if command is None or len(command.time) != len(trial.time):
+        if len(command.time) != len(trial.time):
             return []
         self._current = command
         if side in self._started:
@@ -140,17 +105,21 @@ class LiveGap:
             known.names = tuple(names)
             known.recent.clear()
         before = known.recent[-1] if known.recent else None
-        if not known.add(stamp, values) or side not in self._running:
+        if not known.add(stamp, values):
             return []
-        trial = self._running[side]
-        trial.add(known.names, before, (stamp, values))
-        judged = self._judge_new()
-        if trial.ended and trial.ready() >= len(trial.grid):
-            self.finish(side)
+        judged = self._begin_early()
+        if side in self._running:
+            trial = self._running[side]
+            trial.add(known.names, before, (stamp, values))
+            judged += self._judge_new()
+            if trial.ended and trial.ready() >= len(trial.grid):
+                self.finish(side)
         return judged
 
     def end(self, side: str, mark: TrialMark) -> None:
         """A trial was played to its end; it counts once its last samples have come."""
+        if side in self._early:
+            self._early[side].append(mark)
         trial = self._running.get(side)
         if trial is not None and mark.trial == trial.mark.trial and mark.sequence_hash == trial.mark.sequence_hash:
             trial.ended = True
@@ -159,6 +128,7 @@ class LiveGap:
 
     def abort(self, side: str) -> None:
         """The running trial was given up and does not count."""
+        self._early.pop(side, None)
         if self._running.pop(side, None) is not None and self._current is not None:
             self._judge_all(self._current)
 
@@ -171,6 +141,7 @@ class LiveGap:
     def forget(self, side: str) -> None:
         """Drops every trial of a side that is another one now, as a simulation is after its model was replaced."""
         self._running.pop(side, None)
+        self._early.pop(side, None)
         self._started.discard(side)
         for command in self._commands.values():
             command.finished[side].clear()
@@ -215,6 +186,25 @@ class LiveGap:
         shared = min(len(time), len(trials.time))
         found[:, :shared] = trials.values[:, :shared]
         return list(found)
+
+    def _begin_early(self) -> list[Judged]:
+        """Begins the trials whose marks came too early, once the samples around their start are there."""
+        judged = []
+        for side, (mark, *ends) in list(self._early.items()):
+            streams = [stream for stream in self._streams[side].values() if stream.recent]
+            around = any(stream.recent[0][0] <= mark.stamp <= stream.newest for stream in streams)
+            if around and self._signals_of(side, mark):
+                judged += self.start(side, mark)
+                for end in ends:
+                    self.end(side, end)
+        return judged
+
+    def _signals_of(self, side: str, mark: TrialMark) -> tuple[str, ...]:
+        """What is compared in a trial; empty while nothing was measured that could tell."""
+        if not any(stream.recent for stream in self._streams[side].values()):
+            return ()
+        command = self._commands.get(mark.sequence_hash)
+        return self._common_signals(mark.sequence_hash) if command is None else command.signals
 
     def _common_signals(self, sequence_hash: str) -> tuple[str, ...]:
         def measured(side: str) -> list[str]:

@@ -9,8 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.live import Figures, LiveGap
+from eps_tunnel_analysis.live import LiveGap
 from eps_tunnel_analysis.live_counts import StampCounts
+from eps_tunnel_analysis.live_figures import Figures
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
 from eps_tunnel_analysis.recording.resample import interpolate
 from labyrinth_sim.trials import Array, Trials
@@ -100,6 +101,29 @@ def test_at_the_end_the_live_figures_are_those_of_the_whole_trials(
     assert (live.trials, live.signals, live.command) == (count, SIGNALS, "some")
     np.testing.assert_array_equal(live.shares, expected.shares)
     np.testing.assert_array_equal(live.joint, expected.joint)
+
+
+@pytest.mark.parametrize("early", [("real",), ("sim",), ("real", "sim")])
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_trial_whose_marks_come_before_the_first_samples_counts(early: tuple[str, ...], count: int) -> None:
+    run, gap = played(7, count, 0.0), LiveGap()
+    first = [m for m in run.messages if m[2] == "mark" and m[1] in early and m[4].trial == 0]  # type: ignore[attr-defined]
+    feed(gap, Played([*first, *(m for m in run.messages if m not in first)], run.trials))
+    live, expected = gap.figures(), offline(run, True)
+    assert live is not None
+    assert (live.trials, live.complete) == (count, True)
+    np.testing.assert_array_equal(live.shares, expected.shares)
+
+
+def test_a_trial_whose_beginning_was_not_measured_does_not_count() -> None:
+    run, gap = played(8, 2, 0.0), LiveGap()
+    unseen = [m for m in run.messages if not (m[2] == "state" and m[3] < 10.2 * SECOND)]
+    feed(gap, Played(unseen, run.trials))
+    live = gap.figures()
+    kept = {side: values[[1]] for side, values in run.trials.items()}
+    assert live is not None
+    assert (live.trials, live.complete) == (1, True)
+    np.testing.assert_array_equal(live.shares, offline(Played([], kept), True).shares)
 
 
 @settings(deadline=None, max_examples=15)

@@ -14,8 +14,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from eps_tunnel_analysis.alikeness import KS
-from eps_tunnel_analysis.live import Figures, Judged, LiveGap
+from eps_tunnel_analysis.live import LiveGap
 from eps_tunnel_analysis.live_counts import StampCounts
+from eps_tunnel_analysis.live_figures import Figures, Judged
 from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
 from eps_tunnel_analysis.nodes.diagnose_server import DiagnoseServer
 from eps_tunnel_analysis.nodes.message_times import nanoseconds, to_time
