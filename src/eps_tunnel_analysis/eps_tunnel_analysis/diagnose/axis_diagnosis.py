@@ -26,6 +26,8 @@ from labyrinth_sim.model import Model
 FAR = 4.0  # times what may be left; further away a third effect is not looked for
 MOST_EFFECTS = 3  # named together on one axis
 PAIR_SHORTLIST = 8
+RUNNERS_UP = 2  # on which one more effect is tried too, as on the best; no further away than
+RUNNING = 4.0  # times what the best leaves
 PROMISE = 0.6  # of the cost: where little is left, one more effect is looked for only if a look promises less
 LEAST_INDEPENDENT = 30.0  # samples of a play: what is left may be correlated for long and still tells models apart
 MOST_INDEPENDENT = 100.0  # no model is so exact that a few percent of what noise leaves would tell it from another
@@ -80,7 +82,7 @@ def diagnose_axis(
     refits: list[Refit] = []
     floor = floor_known(plays)
     if tried and (not floor or base.overall > allowed(once) * CALIBRATION.clean):
-        refits = next_refits(search, base)
+        refits = next_refits(search, [base])
         base = _better_base(search, base, refits)
         best = _lowest([base, *refits])
         refits += rival_refits(search, best, refits)
@@ -89,7 +91,7 @@ def diagnose_axis(
         enough = allowed(max(base.overall, once))
         while floor and best.overall > CALIBRATION.gate and 0 < len(best.effects) < MOST_EFFECTS:
             few = best.overall <= enough
-            found = next_refits(search, best, PAIR_SHORTLIST, PROMISE if few else np.inf)
+            found = next_refits(search, [best, *_runners_up(best, refits)], PAIR_SHORTLIST, PROMISE if few else np.inf)
             found += rival_refits(search, _lowest(found), [*refits, *found]) if found else []
             if not found or not _needed(_lowest(found), best, few, search, tried):
                 break
@@ -112,6 +114,13 @@ def floor_known(plays: Sequence[Play]) -> bool:
 
 def _lowest(refits: Sequence[Refit]) -> Refit:
     return min(refits, key=lambda r: (r.overall, len(r.effects)))
+
+
+def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:
+    """The next best of as many effects."""
+    same = [r for r in refits if len(r.effects) == len(best.effects) and set(r.effects) != set(best.effects)]
+    near = [r for r in same if r.overall < RUNNING * best.overall]
+    return sorted(near, key=lambda r: (r.overall, r.effects))[:RUNNERS_UP]
 
 
 def _positions(model: Model, part: AxisPart) -> list[str]:

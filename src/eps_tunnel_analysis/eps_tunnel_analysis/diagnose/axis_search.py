@@ -31,12 +31,14 @@ KEEP_EVERY = 3
 TURN = 0.05  # s over which a change of the command's speed counts as one
 SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
 SETTLED = 0.25  # s after which a motion is steady again
-EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves
+EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves, but no less than
+LOAD_STEP = 0.001  # of the servo's full torque
 EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
 BASE_LOOKS = 64  # values of the base tried before it is descended, and
 BASE_STARTS = 5  # how many of them are descended
 REBASED = 3  # refits whose base values are sought anew, each from
 REBASE_STARTS = 3  # starts, its own among them
+APART = 0.1  # of the bounds' span, between starts
 NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 SHORTLIST = 12  # candidates refitted from their looks
 LOOKS_EACH = 2
@@ -104,7 +106,8 @@ def axis_search(
     if efforts:
         used = np.sort(np.concatenate([used, _steady_efforts(objective, plays, channel, efforts)]))
     used = used[_begun(objective, plays)[used]]
-    scale = floors(objective, plays, efforts, channel)
+    full = model.values().get(f"drive.{part.axis}.torque", 0.0)
+    scale = floors(objective, plays, efforts, channel, full)
     return Search(lib, objective, fine, scale, kept_samples(objective, plays), used, told)
 
 
@@ -151,7 +154,9 @@ def steady(play: Play, channel: str) -> NDArray[np.bool_]:
     return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)
 
 
-def floors(objective: Objective, plays: Sequence[Play], efforts: Sequence[int] = (), channel: str = "") -> Array:
+def floors(
+    objective: Objective, plays: Sequence[Play], efforts: Sequence[int] = (), channel: str = "", full: float = 0.0
+) -> Array:
     """(n,) noise floor at each of an objective's samples.
 
     Efforts get one of their own: a servo reports them in steps of its full load and by a torque constant that is known
@@ -167,7 +172,8 @@ def floors(objective: Objective, plays: Sequence[Play], efforts: Sequence[int] =
             if i in efforts:
                 calm = mean[steady(play, channel) & np.isfinite(mean)]
                 size = float(np.sqrt(np.mean(calm**2))) if len(calm) else 0.0
-                own = float(np.hypot(EFFORT_STEP * np.nanmax(np.abs(mean)), EFFORT_SHARE * size))
+                least = max(EFFORT_STEP * np.nanmax(np.abs(mean)), LOAD_STEP * full)
+                own = float(np.hypot(least, EFFORT_SHARE * size))
             part = objective.blocks == number * len(objective.signals) + i
             scale[part] = np.hypot(found.local[:, i], own)[objective.samples[part]]
     return scale
@@ -190,7 +196,7 @@ def base_refit(search: Search, rounds: int = 8) -> Refit:
 
 
 def _base_starts(search: Search, values: Array, keep: int) -> list[Array]:
-    """(K,) values, and those with other base values that fit best, out of many."""
+    """(K,) values, and those with other base values that fit best, out of many, each from a valley of its own."""
     size = len(search.library.base)
     drawn = qmc.Sobol(size, rng=0, scramble=True).random(BASE_LOOKS) if size else np.empty((0, 0))
     span = (search.high - search.low)[:size]
@@ -201,8 +207,11 @@ def _base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     points = np.clip(points, search.low, search.high)
     cost = np.mean(search.residuals(points)[:, ~search.kept] ** 2, axis=1)
     cost[0] = -1.0  # the given ones are tried in any case
-    best = np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable")[:keep]
-    return [points[i] for i in best]
+    chosen: list[Array] = []
+    for i in np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable"):
+        if all(np.any(np.abs(points[i] - other)[:size] > APART * span) for other in chosen):
+            chosen.append(points[i])
+    return chosen[:keep]
 
 
 def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit:
@@ -217,51 +226,62 @@ def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit
     return found
 
 
-def next_refits(search: Search, on: Refit, shortlist: int = SHORTLIST, unless: float = np.inf) -> list[Refit]:
-    """Every candidate refitted on top of a refit: looks, then descents of the most promising; best first.
+def next_refits(search: Search, on: Sequence[Refit], shortlist: int = SHORTLIST, unless: float = np.inf) -> list[Refit]:
+    """Every candidate refitted on top of refits: looks, then descents of the most promising; best first.
 
     Args:
-        unless: nothing is refitted where no look promises less than this share of the cost.
+        on: the best first; where several effects act, one of them alone may not be what explains most.
+        unless: nothing is refitted where no look promises less than this share of the best one's cost.
     """
-    search.settle_at(on)
-    taken = set(on.effects)
-    candidates = [c for c in search.library.candidates if c.name not in taken]
-    nominal = on.values.copy()
-    nominal[: len(search.library.base)] = search.start[: len(search.library.base)]
+    search.settle_at(on[0])
+    size = len(search.library.base)
+    nominal = on[0].values.copy()
+    nominal[:size] = search.start[:size]
+    points = [on[0], *(search.at(other.values, other) for other in on[1:])]
     # Base values that made up for the missing effect lie in the wrong valley; the model's own may not.
-    points = [on] if not on.effects and np.allclose(nominal, on.values) else [on, search.at(nominal, on)]
-    fitted = tuple(search.library.find(name) for name in on.effects)
-    looks = search.looks(points, candidates)
-    if looks and looks[0].promised > unless * on.cost:
+    if not np.allclose(nominal, on[0].values) or on[0].effects:
+        points.append(search.at(nominal, on[0]))
+    looks = search.looks(points, search.library.candidates)
+    if looks and looks[0].promised > unless * on[0].cost:
         return []
-    return _rebased(search, search.best_of(_jobs(fitted, looks, shortlist), ROUNDS))
+    return _rebased(search, search.best_of(_jobs(search, points, looks, shortlist), ROUNDS))
 
 
-def _jobs(fitted: tuple[Candidate, ...], looks: Sequence[Look], shortlist: float) -> list[Job]:
-    """The best looks of each of the `shortlist` most promising candidates, to be fitted on top of those fitted."""
-    jobs: list[Job] = []
-    chosen: dict[str, int] = {}
+def _jobs(search: Search, points: Sequence[Refit], looks: Sequence[Look], shortlist: float) -> list[Job]:
+    """The best looks of each of the `shortlist` most promising sets, to be fitted on top of `points`.
+
+    A set starts from every point that leads to it, for the base that fits best without an effect may lie in a valley
+    where the effect does not help.
+    """
+    chosen: dict[frozenset[str], list[Look]] = {}
     for look in looks:
-        name = look.candidate.name
-        count = chosen.get(name, 0)
-        if count >= LOOKS_EACH or (count == 0 and len(chosen) >= shortlist):
-            continue
-        chosen[name] = count + 1
-        jobs.append(((*fitted, look.candidate), look.values))
+        name = frozenset([*points[look.on].effects, look.candidate.name])
+        if name in chosen or len(chosen) < shortlist:
+            chosen.setdefault(name, []).append(look)
+    jobs: list[Job] = []
+    for same in chosen.values():
+        first = [look for i, look in enumerate(same) if look.on not in [other.on for other in same[:i]]]
+        for look in (first if len(first) > 1 else same)[:LOOKS_EACH]:
+            fitted = tuple(search.library.find(name) for name in points[look.on].effects)
+            jobs.append(((*fitted, look.candidate), look.values))
     return jobs
 
 
 def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
-    """The refits, the best of them descended again from other base values: those found may lie in a wrong valley."""
-    again: dict[tuple[str, ...], Refit] = {refit.effects: refit for refit in refits}
-    jobs = [
-        (tuple(search.library.find(n) for n in refit.effects), point)
-        for refit in refits[:REBASED]
-        for point in _base_starts(search, refit.values, REBASE_STARTS)[1:]
-    ]
+    """The refits, the best of them descended again from other base values: those found may lie in a wrong valley.
+
+    The others' base values are among those tried: whatever is missing, the drive is the same.
+    """
+    again: dict[frozenset[str], Refit] = {frozenset(refit.effects): refit for refit in refits}
+    size = len(search.library.base)
+    jobs: list[Job] = []
+    for refit in refits[:REBASED]:
+        points = _base_starts(search, refit.values, REBASE_STARTS)[1:]
+        others = [np.concatenate([r.values[:size], refit.values[size:]]) for r in refits[:REBASED] if r is not refit]
+        jobs += [(tuple(search.library.find(n) for n in refit.effects), point) for point in (*points, *others)]
     for refit in search.best_of(jobs, ROUNDS) if jobs else []:
-        if refit.overall < again[refit.effects].overall:
-            again[refit.effects] = refit
+        if refit.overall < again[frozenset(refit.effects)].overall:
+            again[frozenset(refit.effects)] = refit
     return sorted(again.values(), key=lambda r: (r.cost, r.effects))
 
 
@@ -280,5 +300,5 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         columns = search.columns(search.library.find(name))
         without[columns] = search.start[columns]
         rest = replace(search.at(without, best), effects=tuple(o.name for o in others))
-        jobs += _jobs(others, search.looks([rest], candidates), np.inf)
+        jobs += _jobs(search, [rest], search.looks([rest], candidates), np.inf)
     return search.best_of(jobs, ROUNDS) if jobs else []

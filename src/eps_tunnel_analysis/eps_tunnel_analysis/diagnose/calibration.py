@@ -16,6 +16,7 @@ class Calibration:
     gain_weight: how a gain beyond it counts against completeness, beside the level itself.
     none_width, unknown_width: of the logistic transitions, in logarithms of the mean square.
     temperature: by which differences of log-likelihood are divided, for models err together.
+    value: times half the logarithm of the independent samples that each fitted value pays.
     coverage: of the stated set.
     seeds: of the emulated rigs on which these were chosen; no reported figure uses them.
     """
@@ -30,6 +31,7 @@ class Calibration:
     none_width: float = 0.08
     unknown_width: float = 0.15
     temperature: float = 2.0
+    value: float = 2.0
     coverage: float = 0.9
     seeds: tuple[int, int] = (9000, 9999)
 

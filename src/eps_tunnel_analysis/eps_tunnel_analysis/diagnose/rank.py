@@ -2,9 +2,9 @@
 """From refits to probabilities: what each hypothesis explains against what it costs.
 
 The residuals are taken as Gaussian of unknown size, so a hypothesis with mean square c on n independent samples has
-log-likelihood -n/2 ln c. It pays 1/2 ln n for each of its own values (Schwarz 1978) and ln K for each effect, K being
-how many were tried (as PASTIS does: Gerardos and Ronceray, 2025). Models err together, so the differences are divided
-by a temperature found on cases of known truth.
+log-likelihood -n/2 ln c. Models err together, so these are divided by a temperature found on cases of known truth. A
+hypothesis pays a multiple of 1/2 ln n for each of its own values (Schwarz 1978), lest an effect be taken for one that
+contains it, and ln K for each effect, K being how many were tried (as PASTIS does: Gerardos and Ronceray, 2025).
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,7 @@ def name_of(effects: Sequence[str]) -> str:
 
 def penalty(own_values: int, effects: int, independent: float, tried: int) -> float:
     """What a hypothesis pays, in log-likelihood."""
-    return 0.5 * own_values * np.log(max(independent, 2.0)) + effects * np.log(max(tried, 1))
+    return 0.5 * CALIBRATION.value * own_values * np.log(max(independent, 2.0)) + effects * np.log(max(tried, 1))
 
 
 def rank(
@@ -86,19 +86,18 @@ def rank(
     found: list[tuple[Refit, float, float]] = []
     for refit in refits:
         pays = penalty(refit.free - base.free, len(refit.effects), independent, tried)
-        found.append((refit, pays, -0.5 * independent * np.log(max(_judged(refit), 1e-12)) - pays))
+        found.append((refit, pays, _likelihood(refit, independent) - pays))
     best = min((_judged(r) for r in refits), default=np.inf)
     none = complete(_judged(base), best, once) if refits else 1.0
     scores = np.array([score for _, _, score in found])
-    shares = np.exp((scores - scores.max()) / CALIBRATION.temperature) if len(scores) else scores
+    shares = np.exp(scores - scores.max()) if len(scores) else scores
     shares = shares / shares.sum() if len(scores) else shares
     level = max(_judged(base), once)
     explained = [1.0 - unexplained(_judged(refit), level) for refit, _, _ in found]
     lacking = 1.0 - float(np.sum(shares * np.array(explained)))
     if not floor:
-        alone = -0.5 * independent * np.log(max(_judged(base), 1e-12))
-        others = np.logaddexp.reduce(scores / CALIBRATION.temperature) if len(scores) else -np.inf
-        none, lacking = float(1.0 / (1.0 + np.exp(others - alone / CALIBRATION.temperature))), 0.0
+        others = np.logaddexp.reduce(scores) if len(scores) else -np.inf
+        none, lacking = float(1.0 / (1.0 + np.exp(others - _likelihood(base, independent)))), 0.0
     changed = CALIBRATION.odd if drifts or uneven else 0.0
     effects = (1.0 - none) * (1.0 - lacking) * (1.0 - CALIBRATION.odd if drifts else 1.0)
     none *= 1.0 - changed
@@ -117,6 +116,10 @@ def rank(
     ranked.append(Ranked((), none, base.cost, base.held_out, base.overall, 0.0, 0.0))
     unknown = max(0.0, 1.0 - none - (effects if found else 0.0))
     return sorted(ranked, key=lambda r: (-r.probability, r.overall, r.effects)), unknown
+
+
+def _likelihood(refit: Refit, independent: float) -> float:
+    return float(-0.5 * independent * np.log(max(_judged(refit), 1e-12)) / CALIBRATION.temperature)
 
 
 def _judged(refit: Refit) -> float:

@@ -22,7 +22,7 @@ AT_ONCE = 256  # roll-outs of one batch while looking
 FEW_STARTS = 20
 LOOK_STEP = 3  # rounds after which the hopeless are given up
 SCAN = 24  # values tried around a tick
-FINE_ROUNDS = 2  # of descent at the fine step, for those that are judged
+FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
 HOPELESS = 3.0  # times the best cost
 
 
@@ -53,11 +53,15 @@ class Refit:
 
 @dataclass(frozen=True)
 class Look:
-    """A candidate at (K,) values, and the cost promised: with as much of its change as helps, to first order."""
+    """A candidate at (K,) values, and the cost promised: with as much of its change as helps, to first order.
+
+    `on` counts the refits on top of which it was looked for.
+    """
 
     candidate: Candidate
     values: Array
     promised: float
+    on: int = 0
 
 
 class Search:
@@ -192,7 +196,7 @@ class Search:
         found: list[Look] = []
         for number, refit in enumerate(refits):
             mine: list[tuple[Candidate, Array]] = []
-            for candidate in candidates:
+            for candidate in (c for c in candidates if c.name not in refit.effects):
                 rows = starts(candidate)
                 for row in rows if number == 0 or len(rows) <= FEW_STARTS else ():
                     values = refit.values.copy()
@@ -207,7 +211,8 @@ class Search:
                 change = answers - (answers @ basis) @ basis.T - here
                 share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
                 left = np.mean((here + share[:, None] * change) ** 2, axis=1)
-                found += [Look(c, v, float(p)) for (c, v), p in zip(mine[low : low + AT_ONCE], left, strict=True)]
+                batch = zip(mine[low : low + AT_ONCE], left, strict=True)
+                found += [Look(c, v, float(p), number) for (c, v), p in batch]
         return sorted((look for look in found if np.isfinite(look.promised)), key=lambda look: look.promised)
 
     def at(self, values: Array, like: Refit) -> Refit:
@@ -245,8 +250,9 @@ def mean_square(residuals: Array) -> float:
 
 
 def _best_by_set(refits: Sequence[Refit]) -> list[Refit]:
-    best: dict[tuple[str, ...], Refit] = {}
+    best: dict[frozenset[str], Refit] = {}
     for refit in refits:
-        if np.isfinite(refit.cost) and (refit.effects not in best or refit.cost < best[refit.effects].cost):
-            best[refit.effects] = refit
+        same = best.get(frozenset(refit.effects))
+        if np.isfinite(refit.cost) and (same is None or refit.cost < same.cost):
+            best[frozenset(refit.effects)] = refit
     return sorted(best.values(), key=lambda r: (r.cost, r.effects))

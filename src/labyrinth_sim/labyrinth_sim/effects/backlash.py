@@ -9,8 +9,6 @@ from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
-HOLD = 0.005  # N m; an estimate of the load's own bearings, by which it stays where the slack belt leaves it
-
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
     if site.tendon >= 0:
@@ -26,7 +24,7 @@ def step(live: Live, site: Site, values: Values) -> None:
     stretch = live.length[:, site.tendon] + live.step * live.rate[:, site.tendon]
     slack = np.abs(stretch) < values["width"] / 2
     live["tendon_damping"][slack, site.tendon] = 0.0
-    live["dof_frictionloss"][slack, site.load_dof] += HOLD
+    live["dof_frictionloss"][slack, site.load_dof] += values["hold"][slack]
 
 
 def measure(values: Values, site: Site, step: float, start: Array) -> Play | None:
@@ -46,6 +44,9 @@ EFFECT = Effect(
     "a belt, angle' trails by at most w/2",
     parameters=(
         Parameter("width", "rad", 0.0, 0.06, 0.0, 0.015, "0 to 3.4 deg; toy belts and worn gears show 0.5 to 2 deg"),
+        Parameter(
+            "hold", "N m", 1e-4, 0.05, None, 0.005, "friction by which the load stays where a slack belt left it"
+        ),
     ),
     stage="mjcf",
     mark="After each reversal the load stands still for the width of the gap while the motor already turns; a loop of "

@@ -10,15 +10,19 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     stiffness, damping = fields["tendon_stiffness"], fields["tendon_damping"]
     softer = 1.0 + values["compliance"] * stiffness[:, site.tendon]
     stiffness[:, site.tendon] /= softer
-    damping[:, site.tendon] /= softer  # a soft belt that kept the stiff one's damper would creep, not swing
+    # A soft belt without a damper swings; one with the stiff belt's creeps.
+    damping[:, site.tendon] *= values["damper"] + (1.0 - values["damper"]) / softer
 
 
 EFFECT = Effect(
     name="belt_compliance",
     title="Belt compliance",
     physics="The belt stretches under load like a spring.",
-    equation="belt torque = (s + ds/dt d/k) / (1/k + c), s = r motor - board",
-    parameters=(Parameter("compliance", "rad/(N m)", 0.0, 2.0, 0.0, 0.3, "0 to a rubber band: 1 deg at 9 mN m"),),
+    equation="belt torque = s / (1/k + c) + d (h + (1 - h) / (1 + k c)) ds/dt, s = r motor - board",
+    parameters=(
+        Parameter("compliance", "rad/(N m)", 0.0, 2.0, 0.0, 0.3, "0 to a rubber band: 1 deg at 9 mN m"),
+        Parameter("damper", "1", 0.0, 1.0, None, 0.3, "h, share of the stiff belt's damping that the soft one keeps"),
+    ),
     stage="mjcf",
     mark="The board swings after a step and lags the motor in proportion to its acceleration; no loop in slow motion.",
     shows="passing",
