@@ -35,16 +35,16 @@ EFFECTS: dict[str, HiddenEffect] = {
     "dead_band": HiddenEffect("Errors below a margin are ignored.", {"margin": (0.001, 0.004, 0.010)}),
     "rate_limit": HiddenEffect("The goal moves at a limited speed.", {"command_rate": (1.5, 0.7, 0.3)}),
     "torque_saturation": HiddenEffect("The driver limits the current.", {"current_limit": (0.50, 0.20, 0.08)}),
-    "supply_sag": HiddenEffect("The supply yields under load.", {"supply_resistance": (6.0, 15.0, 40.0)}),
-    "backlash": HiddenEffect("Play between servo and board.", {"play": (0.0015, 0.006, 0.018)}),
+    "supply_sag": HiddenEffect("The supply yields under load.", {"supply_resistance": (10.0, 15.0, 40.0)}),
+    "backlash": HiddenEffect("Play between servo and board.", {"play": (0.0025, 0.006, 0.018)}),
     "belt_compliance": HiddenEffect("The belt gives way.", {"belt_stiffness": (15.0, 6.0, 2.0)}),
     "coulomb_friction": HiddenEffect("Dry friction in the servo.", {"coulomb": (0.03, 0.12, 0.35)}),
-    "viscous_friction": HiddenEffect("Friction proportional to speed.", {"viscous": (0.15, 0.5, 1.5)}),
+    "viscous_friction": HiddenEffect("Friction proportional to speed.", {"viscous": (0.6, 1.0, 2.0)}),
     "stribeck_friction": HiddenEffect(
         "Breaking away takes more than sliding.", {"static": (0.05, 0.15, 0.4), "stribeck_speed": (0.1, 0.1, 0.1)}
     ),
     "load_friction": HiddenEffect(
-        "Friction grows with the torque that the gear carries.", {"load_friction": (0.1, 0.25, 0.42)}
+        "Friction grows with the torque that the gear carries.", {"load_friction": (0.3, 0.37, 0.45)}
     ),
     "direction_friction": HiddenEffect(
         "Friction acts in one direction only.",
@@ -66,11 +66,11 @@ EFFECTS: dict[str, HiddenEffect] = {
         "A sensor is off by a constant.", {"encoder_bias": (0.0015, 0.006, 0.015)}, sensor=True, signed=True
     ),
     "sensor_gain": HiddenEffect(
-        "A sensor's scale is wrong.", {"encoder_gain": (0.02, 0.06, 0.15)}, sensor=True, signed=True, factor=True
+        "A sensor's scale is wrong.", {"encoder_gain": (0.03, 0.06, 0.15)}, sensor=True, signed=True, factor=True
     ),
-    "sensor_delay": HiddenEffect("A sensor's values are old.", {"encoder_delay": (0.004, 0.015, 0.040)}, sensor=True),
-    "sensor_lag": HiddenEffect("A sensor is filtered.", {"encoder_lag": (0.005, 0.020, 0.050)}, sensor=True),
-    "sensor_quantisation": HiddenEffect("A sensor is coarse.", {"encoder_tick": (0.004, 0.008, 0.016)}, sensor=True),
+    "sensor_delay": HiddenEffect("A sensor's values are old.", {"encoder_delay": (0.007, 0.015, 0.040)}, sensor=True),
+    "sensor_lag": HiddenEffect("A sensor is filtered.", {"encoder_lag": (0.008, 0.020, 0.050)}, sensor=True),
+    "sensor_quantisation": HiddenEffect("A sensor is coarse.", {"encoder_tick": (0.007, 0.010, 0.016)}, sensor=True),
     "rolling_friction": HiddenEffect("The ball rolls stiffly.", {"rolling_friction": (0.006, 0.012, 0.03)}, ball=True),
     "restitution": HiddenEffect("Walls swallow the ball's speed.", {"restitution": (0.35, 0.2, 0.05)}, ball=True),
     "board_not_level": HiddenEffect(
