@@ -28,7 +28,8 @@ class Recording(Workplace):
     def begin(self) -> None:
         self.sent: list[int] = []
         self.start("eps_tunnel_analysis", "analysis_node")
-        self.publisher = self.node.create_publisher(JointState, "/real/joint_states", 50)
+        # Deep, so that what the recorder missed until it was matched, or while it was stopped, is sent again.
+        self.publisher = self.node.create_publisher(JointState, "/real/joint_states", 1000)
         self.record = self.node.create_client(Record, "/record")
         self.until(lambda: self.publisher.get_subscription_count() == 1)
         self.node.create_timer(0.01, self._publish)
