@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from recording_cases import SECOND, START, STORE, ball, joints, mark, write_bag
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
-from eps_tunnel_analysis.recording import BagWriter, read
+from eps_tunnel_analysis.recording import BagWriter, read, read_all
 from eps_tunnel_analysis.recording.cdr import decode_constant
 from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE, TRIAL
 from labyrinth_sim.errors import InputError
@@ -50,6 +50,14 @@ def test_bytes_that_are_no_message_never_become_numbers_silently(junk: bytes) ->
     good = joints(START, ["motor_x"], [1.0])
     if junk[:36] != good[:36]:
         assert decode_constant([good, junk], JOINT_STATE, STORE) is None or len(junk) == len(good)
+
+
+def test_all_bad_bags_are_told_at_once_and_none_at_all_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        read_all([tmp_path / "one", write_bag(tmp_path / "good"), tmp_path / "two", tmp_path / "one"])
+    assert all(str(tmp_path / name) in text for name, text in zip(("one", "two"), caught.value.complaints, strict=True))
+    with pytest.raises(InputError, match="No bags named"):
+        read_all([])
 
 
 def test_names_that_change_their_order_are_matched_by_name(tmp_path: Path) -> None:

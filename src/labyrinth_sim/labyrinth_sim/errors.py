@@ -5,8 +5,11 @@ ValueError
 └── InputError          bad input: files, names, values, shapes
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class InputError(ValueError):
@@ -19,6 +22,26 @@ class InputError(ValueError):
     def __init__(self, complaints: str | Iterable[str]) -> None:
         self.complaints: tuple[str, ...] = (complaints,) if isinstance(complaints, str) else tuple(complaints)
         super().__init__("\n".join(self.complaints))
+
+
+class Complaints:
+    """Gathers what is wrong with several inputs, so that it is told at once."""
+
+    def __init__(self) -> None:
+        self._told: list[str] = []
+
+    def attempt(self, load: Callable[[], T]) -> T | None:
+        """What `load` returns; None where it raises InputError, whose complaints are kept."""
+        try:
+            return load()
+        except InputError as error:
+            self._told += error.complaints
+            return None
+
+    def check(self) -> None:
+        """Raises InputError with every complaint once, if there are any."""
+        if self._told:
+            raise InputError(dict.fromkeys(self._told))
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:

@@ -2,14 +2,14 @@
 """Recorded plays and the model to be fitted to them, as the command line names both."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from eps_tunnel_analysis.cli.sides import bag_hash, bags, read_bags, reading
-from labyrinth_sim.errors import InputError
+from eps_tunnel_analysis.cli.sides import bag_hash, bags, reading
+from labyrinth_sim.errors import Complaints, InputError
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.plays import Play
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from eps_tunnel_analysis.recording.plays import PlaysResult
     from labyrinth_sim.model import Model
     from labyrinth_sim.rig import Rig
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -48,24 +46,17 @@ def load_recorded(arguments: argparse.Namespace) -> Recorded:
     from labyrinth_sim.model import load_model
     from labyrinth_sim.rig import load_rig
 
-    complaints: list[str] = []
-
-    def attempt(load: Callable[[], T]) -> T | None:
-        try:
-            return load()
-        except InputError as error:
-            complaints.extend(c for c in error.complaints if c not in complaints)
-            return None
-
+    complaints = Complaints()
+    attempt = complaints.attempt
     model = attempt(lambda: load_model(arguments.model, arguments.effects))
     rig = attempt(lambda: load_rig(arguments.rig)) if arguments.rig else model.rig if model else None
     paths = attempt(lambda: bags(arguments.real))
     held_paths = attempt(lambda: bags(getattr(arguments, "held_out", None) or []))
     known = attempt(lambda: known_of([*(paths or []), *(held_paths or [])], getattr(arguments, "known", None) or []))
-    read = attempt(lambda: _plays(paths, rig, arguments, known)) if paths and known is not None else None
+    read = attempt(lambda: _plays(paths, rig, arguments, known)) if paths is not None and known is not None else None
     held = attempt(lambda: _plays(held_paths, rig, arguments, known)) if held_paths and known is not None else None
-    if complaints or model is None or read is None or paths is None:
-        raise InputError(complaints)
+    complaints.check()
+    assert model is not None and read is not None and paths is not None
     return Recorded(
         model,
         read.plays,
@@ -117,10 +108,10 @@ def _plays(
 ) -> "PlaysResult":
     """The plays of bags; the same command under other known values is another play."""
     from eps_tunnel_analysis.plays import Play
-    from eps_tunnel_analysis.recording import to_plays
+    from eps_tunnel_analysis.recording import read_all, to_plays
     from eps_tunnel_analysis.recording.plays import PlaysResult
 
-    recordings = read_bags(paths, arguments)
+    recordings = read_all(paths, arguments.time_source)
     how = reading(recordings, rig, arguments)
     groups: dict[tuple[tuple[str, float], ...], list[Recording]] = {}
     for path, recording in zip(paths, recordings, strict=True):

@@ -3,12 +3,12 @@
 
 import argparse
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from labyrinth_sim.errors import InputError
+from labyrinth_sim.errors import Complaints, InputError
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.recording import Recording, TrialsResult
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from labyrinth_sim.rig import Rig
     from labyrinth_sim.trials import Trials
 
-T = TypeVar("T")
 DATA_FILES = (".mcap", ".db3")
 POSITIONS = ("rad", "m")  # compared unless --signals says otherwise
 
@@ -91,23 +90,16 @@ def load_sides(arguments: argparse.Namespace) -> Sides:
     Raises:
         InputError: everything wrong with the bags, the rig and the model, at once.
     """
-    complaints: list[str] = []
-
-    def attempt(load: Callable[[], T]) -> T | None:
-        try:
-            return load()
-        except InputError as error:
-            complaints.extend(c for c in error.complaints if c not in complaints)
-            return None
-
+    complaints = Complaints()
+    attempt = complaints.attempt
     model = attempt(lambda: _model(arguments)) if arguments.model else None
     rig = attempt(lambda: _rig(arguments)) if arguments.rig else model.rig if model else None
     real_bags = attempt(lambda: bags(arguments.real))
-    real = attempt(lambda: _read(real_bags, rig, arguments)) if real_bags else None
+    real = attempt(lambda: _read(real_bags, rig, arguments)) if real_bags is not None else None
     sim_bags = attempt(lambda: bags(arguments.sim)) if getattr(arguments, "sim", None) else None
     sim = attempt(lambda: _read(sim_bags, rig, arguments)) if sim_bags else None
-    if complaints or real is None or real_bags is None:
-        raise InputError(complaints)
+    complaints.check()
+    assert real is not None and real_bags is not None
     if sim is not None and real.sequence_hash and sim.sequence_hash and real.sequence_hash != sim.sequence_hash:
         raise InputError(
             f"The two sides played different sequences: real '{real.sequence}' ({real.sequence_hash[:12]}), simulation "
@@ -168,26 +160,10 @@ def _rig(arguments: argparse.Namespace) -> "Rig":
 
 
 def _read(paths: Sequence[Path], rig: "Rig | None", arguments: argparse.Namespace) -> "TrialsResult":
-    from eps_tunnel_analysis.recording import to_trials
+    from eps_tunnel_analysis.recording import read_all, to_trials
 
-    recordings = read_bags(paths, arguments)
+    recordings = read_all(paths, arguments.time_source)
     return to_trials(recordings, rig, **reading(recordings, rig, arguments))
-
-
-def read_bags(paths: Sequence[Path], arguments: argparse.Namespace) -> "list[Recording]":
-    """Reads the bags. Raises InputError with what is wrong with any of them."""
-    from eps_tunnel_analysis.recording import Recording, read
-
-    recordings: list[Recording] = []
-    complaints: list[str] = []
-    for path in paths:
-        try:
-            recordings.append(read(path, arguments.time_source))
-        except InputError as error:
-            complaints += error.complaints
-    if complaints:
-        raise InputError(complaints)
-    return recordings
 
 
 def reading(recordings: "Sequence[Recording]", rig: "Rig | None", arguments: argparse.Namespace) -> dict[str, Any]:

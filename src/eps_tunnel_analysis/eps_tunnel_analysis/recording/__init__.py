@@ -9,7 +9,7 @@ from eps_tunnel_analysis.recording.channel_map import (
 )
 from eps_tunnel_analysis.recording.csv_import import CsvColumns, csv_to_bag
 from eps_tunnel_analysis.recording.plays import PlaysResult, to_plays
-from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.recording.reader import read, read_all
 from eps_tunnel_analysis.recording.recording import (
     Gap,
     Recording,
@@ -44,6 +44,7 @@ __all__ = [
     "csv_to_bag",
     "guessed_map",
     "read",
+    "read_all",
     "read_trials",
     "repair",
     "to_plays",

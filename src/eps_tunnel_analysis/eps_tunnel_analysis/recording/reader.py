@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reader: a bag on disk to a Recording."""
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from eps_tunnel_analysis.recording.recording import (
     StampedTopic,
     TimeSource,
 )
-from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.errors import Complaints, InputError, unknown_name
 
 
 def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
@@ -62,6 +64,16 @@ def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
         notes=tuple(_notes(bag)),
         closed=bag.recovered is None,
     )
+
+
+def read_all(paths: Sequence[Path | str], time_source: TimeSource = "header") -> list[Recording]:
+    """`read` each of several bags. Raises InputError where none is named, else with all complaints at once."""
+    if not paths:
+        raise InputError("No bags named; expected at least one rosbag2 folder, .mcap or .db3 file.")
+    complaints = Complaints()
+    recordings = [complaints.attempt(partial(read, path, time_source)) for path in paths]
+    complaints.check()
+    return [recording for recording in recordings if recording is not None]
 
 
 def _notes(bag: Bag) -> list[str]:

@@ -22,7 +22,7 @@ from eps_tunnel_analysis.recording.checks import (
     check_same_commands,
     usable,
 )
-from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.recording.reader import read_all
 from eps_tunnel_analysis.recording.recording import Recording, TimeSource
 from eps_tunnel_analysis.recording.resample import hold, interpolate
 from eps_tunnel_analysis.recording.windows import (
@@ -79,19 +79,8 @@ def read_trials(
     time_source: TimeSource = "header",
     **options: object,
 ) -> TrialsResult:
-    """`read` each bag, then `to_trials`; the options are those of `to_trials`. All bad bags are told at once."""
-    if not paths:
-        raise InputError("No bags named; expected at least one rosbag2 folder, .mcap or .db3 file.")
-    recordings: list[Recording] = []
-    complaints: list[str] = []
-    for path in paths:
-        try:
-            recordings.append(read(path, time_source))
-        except InputError as error:
-            complaints += error.complaints
-    if complaints:
-        raise InputError(complaints)
-    return to_trials(recordings, rig, **options)  # type: ignore[arg-type]
+    """`read_all`, then `to_trials`, whose options these are."""
+    return to_trials(read_all(paths, time_source), rig, **options)  # type: ignore[arg-type]
 
 
 def to_trials(
