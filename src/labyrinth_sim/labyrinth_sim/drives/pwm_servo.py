@@ -8,8 +8,8 @@ which the limit on the duty does not touch.
 import mujoco
 
 from labyrinth_sim.effect import Drive, Parameter, Values
-from labyrinth_sim.filters import Delay
 from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.servo import delay, limit_torque, scale_torque, set_torque
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
@@ -18,9 +18,7 @@ def spec(spec: mujoco.MjSpec, site: Site) -> None:
     axis = site.the_axis
     servo = spec.actuator(axis.actuator)
     servo.set_to_position(kp=1.0)
-    servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    servo.forcerange = [-1.0, 1.0]
+    limit_torque(servo)
     emf = spec.add_actuator(
         name=f"{axis.actuator}_emf", target=axis.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, group=site.group
     )
@@ -34,19 +32,14 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     servo, emf = site.actuator, next(i for i in site.actuators if i != site.actuator)
     fields["actuator_gainprm"][:, servo, 0] = stiffness
     fields["actuator_biasprm"][:, servo, 1] = -stiffness
-    fields["actuator_forcerange"][:, servo, 0] = -stall
-    fields["actuator_forcerange"][:, servo, 1] = stall
+    set_torque(fields, site, stall)
     fields["actuator_biasprm"][:, emf, 2] = -(values["torque_constant"] ** 2) / values["resistance"]
-
-
-def target(values: Values, site: Site, step: float, start: Array) -> Delay | None:
-    return Delay(values["delay"], step, start) if values["delay"].any() else None
 
 
 def supply(live: Live, site: Site, factor: Array) -> None:
     live["actuator_gainprm"][:, site.actuator, 0] *= factor
     live["actuator_biasprm"][:, site.actuator, 1] *= factor
-    live["actuator_forcerange"][:, site.actuator] *= factor[:, None]
+    scale_torque(live, site, factor)
 
 
 DRIVE = Drive(
@@ -70,7 +63,7 @@ DRIVE = Drive(
     ),
     spec=spec,
     fields=fields,
-    target=target,
+    target=delay,
     supply=supply,
     strength=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     free=("resistance", "torque_constant", "joint.armature", "delay"),

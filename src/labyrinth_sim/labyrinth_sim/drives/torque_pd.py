@@ -4,34 +4,22 @@
 import mujoco
 
 from labyrinth_sim.effect import Drive, Parameter, Values
-from labyrinth_sim.filters import Delay
-from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.live import Fields
+from labyrinth_sim.servo import delay, limit_torque, scale_torque, set_torque
 from labyrinth_sim.site import Site
-from labyrinth_sim.trials import Array
 
 
 def spec(spec: mujoco.MjSpec, site: Site) -> None:
     servo = spec.actuator(site.the_axis.actuator)
     servo.set_to_position(kp=1.0, kv=1.0)
-    servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    servo.forcerange = [-1.0, 1.0]
+    limit_torque(servo)
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
     fields["actuator_gainprm"][:, site.actuator, 0] = values["stiffness"]
     fields["actuator_biasprm"][:, site.actuator, 1] = -values["stiffness"]
     fields["actuator_biasprm"][:, site.actuator, 2] = -values["damping"]
-    fields["actuator_forcerange"][:, site.actuator, 0] = -values["torque"]
-    fields["actuator_forcerange"][:, site.actuator, 1] = values["torque"]
-
-
-def target(values: Values, site: Site, step: float, start: Array) -> Delay | None:
-    return Delay(values["delay"], step, start) if values["delay"].any() else None
-
-
-def supply(live: Live, site: Site, factor: Array) -> None:
-    live["actuator_forcerange"][:, site.actuator] *= factor[:, None]
+    set_torque(fields, site, values["torque"])
 
 
 DRIVE = Drive(
@@ -48,7 +36,7 @@ DRIVE = Drive(
     ),
     spec=spec,
     fields=fields,
-    target=target,
-    supply=supply,
+    target=delay,
+    supply=scale_torque,
     free=("stiffness", "damping", "delay"),
 )

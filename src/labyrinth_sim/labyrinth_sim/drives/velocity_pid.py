@@ -5,8 +5,8 @@ import mujoco
 import numpy as np
 
 from labyrinth_sim.effect import Drive, Parameter, Values
-from labyrinth_sim.filters import Delay
-from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.live import Fields
+from labyrinth_sim.servo import delay, limit_torque, scale_torque, set_torque
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
@@ -41,24 +41,13 @@ class VelocityPid:
 def spec(spec: mujoco.MjSpec, site: Site) -> None:
     actuator = spec.actuator(site.the_axis.actuator)
     actuator.set_to_velocity(kv=1.0)
-    actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    actuator.forcerange = [-1.0, 1.0]
+    limit_torque(actuator)
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
     fields["actuator_gainprm"][:, site.actuator, 0] = values["speed_gain"]
     fields["actuator_biasprm"][:, site.actuator, 2] = -values["speed_gain"]
-    fields["actuator_forcerange"][:, site.actuator, 0] = -values["torque"]
-    fields["actuator_forcerange"][:, site.actuator, 1] = values["torque"]
-
-
-def target(values: Values, site: Site, step: float, start: Array) -> Delay | None:
-    return Delay(values["delay"], step, start) if values["delay"].any() else None
-
-
-def supply(live: Live, site: Site, factor: Array) -> None:
-    live["actuator_forcerange"][:, site.actuator] *= factor[:, None]
+    set_torque(fields, site, values["torque"])
 
 
 DRIVE = Drive(
@@ -78,8 +67,8 @@ DRIVE = Drive(
     ),
     spec=spec,
     fields=fields,
-    target=target,
+    target=delay,
     controller=VelocityPid,
-    supply=supply,
+    supply=scale_torque,
     free=("p", "i", "d", "delay"),
 )
