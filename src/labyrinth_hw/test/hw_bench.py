@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A testbed and a hardware node as real processes, and somebody who listens and commands."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -10,7 +11,14 @@ from itertools import count
 from pathlib import Path
 from typing import IO
 
+import pytest
+
 PATIENCE = 180.0  # s; only what hangs takes so long
+ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("labyrinth_msgs") is not None
+ROS_IN_REAL_TIME = [
+    pytest.mark.skipif(not ROS, reason="rclpy or labyrinth_msgs not importable: source env.bash first"),
+    pytest.mark.realtime,
+]
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 _numbers = count()
 COMMANDER = """

@@ -1,42 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of the rig while the hardware node runs: what it tells, that it goes on or stops, that it comes back."""
 
-import importlib.util
 import math
-import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import yaml
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from hw_bench import PATIENCE, Bench
+from hw_bench import PATIENCE, ROS_IN_REAL_TIME, Bench
 
 from labyrinth_hw import config
 
-ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("labyrinth_msgs") is not None
-pytestmark = [
-    pytest.mark.skipif(not ROS, reason="rclpy or labyrinth_msgs not importable: source env.bash first"),
-    pytest.mark.realtime,
-]
-
-
-@pytest.fixture
-def bench(tmp_path: Path, domain: int) -> Iterator[Bench]:
-    made = Bench(tmp_path, domain)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def running(bench: Bench) -> Bench:
-    bench.start_testbed()
-    bench.start_node()
-    bench.more_states(5)
-    return bench
+pytestmark = ROS_IN_REAL_TIME
 
 
 def test_servos_unplugged_and_plugged_in_again(running: Bench) -> None:

@@ -1,40 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The hardware node as a real process, on the emulated testbed as another one."""
 
-import importlib.util
 import itertools
 import signal
-import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from hw_bench import PATIENCE, ROS_IN_REAL_TIME, Bench
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from hw_bench import PATIENCE, Bench
-
-ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("labyrinth_msgs") is not None
-pytestmark = [
-    pytest.mark.skipif(not ROS, reason="rclpy or labyrinth_msgs not importable: source env.bash first"),
-    pytest.mark.realtime,
-]
-
-
-@pytest.fixture
-def bench(tmp_path: Path, domain: int) -> Iterator[Bench]:
-    made = Bench(tmp_path, domain)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def running(bench: Bench) -> Bench:
-    bench.start_testbed()
-    bench.start_node()
-    bench.more_states(5)
-    return bench
+pytestmark = ROS_IN_REAL_TIME
 
 
 def test_commands_move_both_axes_and_states_are_complete(running: Bench) -> None:
