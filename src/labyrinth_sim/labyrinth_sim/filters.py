@@ -43,21 +43,24 @@ class Delay:
 
 
 class Lag:
-    """First-order lag: tau y' + y = u, exact for u constant over a sample. NaN passes and restarts it."""
+    """First-order lag: tau y' + y = u, exact for u that goes straight between samples. NaN passes and restarts it."""
 
     def __init__(self, time_constant: Array, step: float) -> None:
-        with np.errstate(divide="ignore"):
-            self.keep = np.where(time_constant > 0, np.exp(-step / np.maximum(time_constant, 1e-12)), 0.0)
-        self.last: Array | None = None
+        self._none = time_constant <= 0
+        tau = np.maximum(time_constant, 1e-12)
+        self._keep = np.exp(-step / tau)
+        self._trail = tau / step * -np.expm1(-step / tau)  # share of the last input's change that is behind
+        self._last: tuple[Array, Array] | None = None
 
     def __call__(self, own: Array, every: Array) -> Array:
         out = np.empty_like(own)
-        last = own[:, 0] if self.last is None else self.last
+        before, last = (own[:, 0], own[:, 0]) if self._last is None else self._last
         for k in range(own.shape[1]):
             now = own[:, k]
-            last = np.where((self.keep == 0.0) | np.isnan(last), now, now + self.keep * (last - now))
-            out[:, k] = last
-        self.last = last
+            moved = now + self._keep * (last - before) - self._trail * (now - before)
+            last = np.where(self._none | np.isnan(moved), now, moved)
+            out[:, k], before = last, now
+        self._last = before.copy(), last  # the caller may fill `own` anew
         return out
 
 

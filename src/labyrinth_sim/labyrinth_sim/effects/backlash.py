@@ -44,9 +44,7 @@ EFFECT = Effect(
     "a belt, angle' trails by at most w/2",
     parameters=(
         Parameter("width", "rad", 0.0, 0.06, 0.0, 0.015, "0 to 3.4 deg; toy belts and worn gears show 0.5 to 2 deg"),
-        Parameter(
-            "hold", "N m", 1e-4, 0.05, None, 0.005, "friction that holds the load while the belt is slack"
-        ),
+        Parameter("hold", "N m", 1e-4, 0.05, None, 0.005, "friction that holds the load while the belt is slack"),
     ),
     stage="mjcf",
     mark="After each reversal the load stands still for the width of the gap while the motor already turns; a loop of "
