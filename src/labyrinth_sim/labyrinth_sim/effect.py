@@ -94,6 +94,7 @@ class Effect:
         fields: changes per-simulation fields of the compiled model.
         step: called before every MuJoCo step.
         measure: makes the filter of a signal.
+        undo: the true value (nsim,) behind a measured one, where a roll-out must not start from what is seen.
     """
 
     name: str
@@ -116,6 +117,7 @@ class Effect:
     fields: "Callable[[Fields, Site, Values], None] | None" = None
     step: "Callable[[Live, Site, Values], None] | None" = None
     measure: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
+    undo: "Callable[[Values, Site, Array], Array] | None" = None
 
     def __post_init__(self) -> None:
         if self.shows not in MARKS:

@@ -244,6 +244,16 @@ def through(chains: list[list[Filter]], block: Array) -> Array:
     return out
 
 
+def undone(plan: Plan, values: Values, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Signal -> (nsim,): what was there, of what was seen, by the effects that can tell."""
+    found = dict(given)
+    for placed in reversed(plan.acting(values)):
+        for signal, seen in found.items():
+            if placed.effect.undo and (site := _sees(placed, signal)) is not None:
+                found[signal] = placed.effect.undo(_local(values, placed.prefix), site, seen)
+    return found
+
+
 def first_state(
     model: Model, mj: mujoco.MjModel, with_ball: bool, nsim: int, initial: Mapping[str, Array] | None
 ) -> tuple[Array, Array]:

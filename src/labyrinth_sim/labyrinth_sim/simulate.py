@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labyrinth_sim.build import Plan, compiled
-from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through
+from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through, undone
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.parts import PLAIN
@@ -188,7 +188,7 @@ def _roll_out(
     first: Mapping[str, Array],
 ) -> Array:
     samples = commands.shape[1]
-    qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
+    qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, undone(plan, numbers, first))
     engine.start(qpos, qvel)
     start = rest_targets(plan, qpos, commands[:, 0])
     targets = through(command_filters(plan, numbers, step, start), commands)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where an effect acts: names of the rig resolved to indices of a compiled model."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import mujoco
+import numpy as np
 
-from labyrinth_sim.rig import Axis, Ball, Rig
+from labyrinth_sim.rig import BALL_SIGNALS, Axis, Ball, Rig
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Site:
         load_joint, load_dof, load_qpos, load_body: of the joint that carries the load, the driven one without a belt.
         tendon: the belt.
         ball_joint, ball_dof, ball_geom, ball_body, ball_qpos, ball_site: of the ball.
+        centre: m, signal of the ball -> the point about which the board turns, in the frame of its positions.
     """
 
     rig: Rig
@@ -49,6 +52,7 @@ class Site:
     ball_body: int = -1
     ball_qpos: int = -1
     ball_site: int = -1
+    centre: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def the_axis(self) -> Axis:
@@ -92,6 +96,10 @@ def ball_site(rig: Rig, model: mujoco.MjModel | None = None) -> Site:
         return Site(rig, ball=ball)
     joint = model.joint(ball.joint)
     body = int(joint.bodyid[0])
+    site = model.site(ball.site)
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, site.quat)
+    centre = turn.reshape(3, 3).T @ -site.pos
     return Site(
         rig,
         ball=ball,
@@ -100,5 +108,6 @@ def ball_site(rig: Rig, model: mujoco.MjModel | None = None) -> Site:
         ball_qpos=int(joint.qposadr[0]),
         ball_geom=int(model.body(body).geomadr[0]),
         ball_body=body,
-        ball_site=model.site(ball.site).id,
+        ball_site=site.id,
+        centre={signal: float(v) for signal, v in zip(BALL_SIGNALS, centre, strict=False)},
     )

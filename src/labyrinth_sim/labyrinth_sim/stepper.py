@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from labyrinth_sim.build import compiled
-from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through
+from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through, undone
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
@@ -53,6 +53,7 @@ class Stepper:
         """
         self._engine = Engine(self.model, self._plan, self._numbers, 1, self.step, nthread=1)
         given = {name: np.array([value]) for name, value in (initial or {}).items()}
+        given = undone(self._plan, self._numbers, given)
         qpos, qvel = first_state(self.model, self._plan.mj, self.with_ball, 1, given)
         self._engine.start(qpos, qvel)
         first = np.zeros(len(self.model.rig.axes)) if first_command is None else np.asarray(first_command, float)

@@ -53,6 +53,12 @@ def test_rolling_friction_slows_the_ball_by_five_sevenths_of_c_g() -> None:
     assert 2 * (way[40] - way[0]) / 0.4**2 == pytest.approx(expected, rel=0.02)
 
 
+def test_a_wrong_camera_scale_stretches_the_way_and_not_the_start() -> None:
+    true, seen = (roll(m, 0.05)[:40] for m in (MODEL, MODEL.with_effect("camera_scale", "ball", {"scale": 1.1})))
+    assert seen[0] == pytest.approx(true[0], abs=1e-6)
+    assert np.ptp(seen) == pytest.approx(1.1 * np.ptp(true), rel=0.01)
+
+
 def test_effects_survive_a_drive_that_is_switched_off_and_on() -> None:
     model = MODEL
     for name in (
