@@ -7,7 +7,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,19 +35,20 @@ def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def load_with_efforts(arguments: argparse.Namespace) -> Recorded:
-    """Reads --model and --real, efforts too where the bags have them: they tell friction from a dead band."""
+    """Reads --model and --real, the ball and efforts too where the bags have them: efforts tell friction from a dead
+    band.
+    """
     from labyrinth_sim.model import load_model
-    from labyrinth_sim.rig import load_rig
+    from labyrinth_sim.rig import BALL_SIGNALS, load_rig
 
     if arguments.signals:
         return load_recorded(arguments)
-    try:
-        rig = load_rig(arguments.rig) if arguments.rig else load_model(arguments.model, arguments.effects).rig
-        names = [m.signal for m in rig.measured if m.quantity in ("position", "torque")]
-        recorded = load_recorded(argparse.Namespace(**{**vars(arguments), "signals": names}))
-    except InputError:
-        return load_recorded(arguments)
-    return recorded
+    for ball in (BALL_SIGNALS, ()):
+        with suppress(InputError):
+            rig = load_rig(arguments.rig) if arguments.rig else load_model(arguments.model, arguments.effects).rig
+            names = [m.signal for m in rig.measured if m.quantity in ("position", "torque")]
+            return load_recorded(argparse.Namespace(**{**vars(arguments), "signals": [*names, *ball]}))
+    return load_recorded(arguments)
 
 
 @contextmanager

@@ -88,16 +88,16 @@ def _improve(arguments: argparse.Namespace) -> None:
         print()
         return
     out = console()
-    table(
-        out,
-        "Staircase of error",
-        ("added", "error, rad", "held out, rad", "alikeness"),
-        [(" + ".join(s["added"]) or "as given", *(f"{s[k]:.3g}" for k in ("error", "held_out", "alikeness")))
-         for s in steps],
-    )  # fmt: skip
+    columns = {"error": "error, rad", "held_out": "held out, rad", "alikeness": "alikeness"}
+    named = ["added", *columns.values(), *(["ball's error, m", "held out, m"] if "ball" in steps[0] else [])]
+    rows = [[" + ".join(s["added"]) or "as given", *(f"{s[k]:.3g}" for k in columns)] for s in steps]
+    for row, s in zip(rows, steps, strict=True):
+        row += [f"{s['ball'][k]:.3g}" for k in ("error", "held_out") if "ball" in s]
+    table(out, "Staircase of error", named, rows)
     out.print(staircase["sentence"], soft_wrap=True, markup=False)
     out.print(f"Models: {arguments.out}", soft_wrap=True)
 
 
 def _errors(when: str, content: dict[str, Any]) -> dict[str, Any]:
-    return {key: content[f"{key}_{when}"] for key in ("error", "held_out", "alikeness")}
+    errors = {key: content[f"{key}_{when}"] for key in ("error", "held_out", "alikeness")}
+    return errors | ({"ball": content[f"ball_{when}"]} if f"ball_{when}" in content else {})

@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_search, base_refit
+from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_search, ball_part, base_refit
+from eps_tunnel_analysis.diagnose.ball import BALL, part_name, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import Progress, compared, errors_of, is_moved
 from eps_tunnel_analysis.diagnose.search import Refit, Search
@@ -25,7 +26,8 @@ class Addition:
 
     Attributes:
         model: with the effects, everything fitted.
-        before, after: errors with the values refitted, without and with the effects.
+        before, after: errors with the values refitted, without and with the effects; of the ball, in m, where all of
+            them act on it.
         values: what was fitted.
     """
 
@@ -77,9 +79,17 @@ def add_effects(
     base_model, final = model, model
     values: dict[str, float] = {}
     left = list(dict.fromkeys(names))
-    for part in (p for p in axis_parts(model, plays) if is_moved(model, p, plays)):
-        count = partial(told, f"axis {part.axis}") if told else None
-        search = axis_search(model, plays, part, only=[n.partition(".")[0] for n in names], nthread=nthread, told=count)
+    on_axes, on_ball = split([n.partition(".")[0] for n in names])
+    rolls = bool(on_ball) and sees_ball(model, plays)
+    alone = [without_ball(p) for p in plays]
+    parts = [p for p in axis_parts(model, alone) if is_moved(model, p, alone)]
+    for part in [*parts, ball_part()] if rolls else parts:
+        count = partial(told, part_name(part.axis)) if told else None
+        ball = part.axis == BALL
+        # It rolls as the axes tilt, so it is fitted last.
+        search = axis_search(final if ball else model, plays if ball else alone, part,
+                             only=on_ball if ball else on_axes if rolls else [*on_axes, *on_ball],
+                             nthread=nthread, told=count)  # fmt: skip
         mine = [c for c in search.library.candidates if c.name in left]
         left = [n for n in left if n not in [c.name for c in mine]]
         base = base_refit(search)
@@ -95,7 +105,10 @@ def add_effects(
     if left:
         valid = [f"{e.name}.{place}" for e in known.values() for place in model.places(e)]
         raise InputError([unknown_name("effect and place", n, valid) for n in left])
-    before, after = (errors_of(compared(m, plays), compared(m, held)) for m in (base_model, final))
+    unit = "m" if rolls and not on_axes else "rad"
+    before, after = (
+        errors_of(compared(m, plays if rolls else alone), compared(m, held), unit) for m in (base_model, final)
+    )
     return Addition(final, before, after, values)
 
 

@@ -15,6 +15,7 @@ from eps_tunnel_analysis.diagnose.axis_search import (
     next_refits,
     rival_refits,
 )
+from eps_tunnel_analysis.diagnose.ball import part_name
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.gate import allowed, gate
 from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, penalty, rank
@@ -75,7 +76,7 @@ def diagnose_axis(
 ) -> AxisDiagnosis:
     """Names what one axis lacks; the arguments are those of `diagnose`, `once` being this axis's."""
     search = axis_search(
-        model, plays, part, only, nthread=nthread, told=(lambda n: told(f"axis {part.axis}", n)) if told else None
+        model, plays, part, only, nthread=nthread, told=(lambda n: told(part_name(part.axis), n)) if told else None
     )
     base = base_refit(search)
     tried = len(search.library.candidates)

@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.stats import qmc
 
+from eps_tunnel_analysis.diagnose.ball import BALL, ROUGH, inexactness, on_ball, values_of
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
 from eps_tunnel_analysis.diagnose.noise import noise_floor
-from eps_tunnel_analysis.diagnose.search import Look, Refit, Search
+from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Look, Refit, Search
 from eps_tunnel_analysis.fit.free import by_axis, default_free
 from eps_tunnel_analysis.fit.objective import Objective, middle
 from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.effect import rivals
 from labyrinth_sim.model import Model
+from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
 
 COARSE = 0.005  # s, MuJoCo's step while searching
@@ -66,6 +68,7 @@ class AxisPart:
 def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
     """Every axis that has a signal in all plays."""
     known = {name for play in plays for name in play.known}
+    known |= values_of(model)  # shows in the ball alone
     names = [n for n in default_free(model) if n not in known and not _silent_integral(model, n)]
     base = {part.axis: part.free for part in by_axis(model, names, plays, None)}
     parts = []
@@ -75,6 +78,11 @@ def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
         if any(m.quantity == "position" for m in seen):
             parts.append(AxisPart(axis.name, tuple(chosen), tuple(base.get(axis.name, ()))))
     return parts
+
+
+def ball_part() -> AxisPart:
+    """The ball, judged as an axis is; without base values, for friction refitted would take up a latency."""
+    return AxisPart(BALL, BALL_SIGNALS, ())
 
 
 def _silent_integral(model: Model, name: str) -> bool:
@@ -92,23 +100,28 @@ def axis_search(
     told: Callable[[int], None] | None = None,
 ) -> Search:
     """A search over the candidates of one axis."""
-    whole = library(model, part.base, only=only)
+    whole = library(model, part.base, part.axis == BALL, only)
     mine = tuple(c for c in whole.candidates if c.axes == (part.axis,))
+    if part.axis == BALL:
+        mine = tuple(replace(c, axes=()) for c in whole.candidates if on_ball(c.effect))
     for candidate in whole.candidates:
-        if candidate not in mine:
+        if candidate.name not in [c.name for c in mine]:
             whole = replace(whole, model=whole.model.without_effect(candidate.effect.name, candidate.place))
     lib = Library(whole.model, part.base, mine)
     objective = Objective(lib.model, lib.names, plays, part.signals, timestep, nthread)
     fine = Objective(lib.model, lib.names, plays, part.signals, FINE, nthread)
     torque = [m.signal for m in model.rig.measured if m.quantity == "torque"]
-    channel = next(axis.command for axis in model.rig.axes if axis.name == part.axis)
+    channel = next((axis.command for axis in model.rig.axes if axis.name == part.axis), "")
     used = np.flatnonzero(~np.isin(objective.blocks % len(part.signals), efforts := _columns(part.signals, torque)))
     if efforts:
         used = np.sort(np.concatenate([used, _steady_efforts(objective, plays, channel, efforts)]))
     used = used[_begun(objective, plays)[used]]
     full = model.values().get(f"drive.{part.axis}.torque", 0.0)
     scale = floors(objective, plays, efforts, channel, full)
-    return Search(lib, objective, fine, scale, kept_samples(objective, plays), used, told)
+    if part.axis == BALL:
+        scale = np.hypot(scale, inexactness(objective.samples * plays[0].trials.step))
+    kept = kept_samples(objective, plays)
+    return Search(lib, objective, fine, scale, kept, used, told, ROUGH if part.axis == BALL else DIFFERENCE)
 
 
 def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
@@ -275,7 +288,7 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     again: dict[frozenset[str], Refit] = {frozenset(refit.effects): refit for refit in refits}
     size = len(search.library.base)
     jobs: list[Job] = []
-    for refit in refits[:REBASED]:
+    for refit in refits[:REBASED] if size else ():
         points = _base_starts(search, refit.values, REBASE_STARTS)[1:]
         others = [np.concatenate([r.values[:size], refit.values[size:]]) for r in refits[:REBASED] if r is not refit]
         jobs += [(tuple(search.library.find(n) for n in refit.effects), point) for point in (*points, *others)]

@@ -18,6 +18,7 @@ from labyrinth_sim.trials import Array
 FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
 LIMITS = 7  # values of a limit, as of a torque's
 TICKS = 48
+BALL_VALUES = 25
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,9 @@ def starts(candidate: Candidate) -> Array:
     declared = candidate.effect.parameters
     if is_tick(candidate):  # rounding fits at one value and hardly beside it
         return np.geomspace(0.1 * declared[0].typical, 3.0 * declared[0].typical, TICKS)[:, None]
+    if not candidate.axes and len(declared) == 1:  # of the ball: walls make the misfit rough
+        spread = np.linspace(declared[0].low, declared[0].high, BALL_VALUES)[:, None]
+        return spread[spread[:, 0] != declared[0].off]
     switching = [p for p in declared if p.off is not None]
     strengths = [[*row] for ladder in _ladders(switching) for row in ladder]
     shapes: list[list[float]] = [[]]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import BLOCK, KEEP_EVERY, AxisPart, axis_parts
+from eps_tunnel_analysis.diagnose.axis_search import BLOCK, KEEP_EVERY, AxisPart, axis_parts, ball_part
+from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
 from eps_tunnel_analysis.diagnose.rank import joint
@@ -20,6 +21,7 @@ from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.rollout import roll_out
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
+from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array, Trials
 
 KS = (1.0, 2.0, 3.0, 5.0)
@@ -73,25 +75,33 @@ def diagnose(
         InputError: no axis with a measured position and a command that moves it, unknown effect names.
     """
     started = time.monotonic()
-    parts = axis_parts(model, plays)
-    moved = [p for p in parts if is_moved(model, p, plays)]
+    on_axes, on_ball = split(only)
+    rolls = bool(on_ball) and sees_ball(model, plays)
+    alone = [without_ball(p) for p in plays]
+    parts = axis_parts(model, alone)
+    moved = [p for p in parts if is_moved(model, p, alone)]
     if not moved:
         raise InputError(
             "No recorded command moves an axis whose position is measured, so no effect can be seen. "
             "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
         )
-    axes = tuple(
-        diagnose_axis(model, plays, part, only, nthread, told, (once or {}).get(part.axis, 0.0)) for part in moved
-    )
+    left, names = once or {}, on_axes if rolls else only
+    axes = tuple(diagnose_axis(model, alone, p, names, nthread, told, left.get(p.axis, 0.0)) for p in moved)
+    if rolls:
+        # It rolls as the axes tilt, so it is judged with what is missing there added already.
+        found = set(decide(joint([axis.probabilities for axis in axes]), CALIBRATION.coverage)[1])
+        tilted = _with(model, axes, {a.part.axis: _refit_of(a, found) for a in axes})
+        axes += (diagnose_axis(tilted, plays, ball_part(), on_ball, nthread, told, left.get(BALL, 0.0)),)
     probabilities = joint([axis.probabilities for axis in axes])
     kind, named, stated = decide(probabilities, CALIBRATION.coverage)
     base_model = _with(model, axes, {})
     chosen = set(named)
     final = _with(model, axes, {a.part.axis: _refit_of(a, chosen) for a in axes})
-    given, before, after = (compared(m, plays) for m in (model, base_model, final))
+    given, before, after = (compared(m, plays if rolls else alone) for m in (model, base_model, final))
+    judged = [compared(m, held if rolls else [without_ball(p) for p in held]) for m in (model, base_model, final)]
     experiment = None
     if experiments and kind == "undecided":
-        experiment = next_experiment(axes, base_model, stated, floor_known(plays))
+        experiment = next_experiment(axes[: len(moved)], base_model, stated, floor_known(plays))
     evaluations = sum(axis.search.evaluations for axis in axes)
     verdict = Verdict(
         verdict=kind,
@@ -101,9 +111,10 @@ def diagnose(
         coverage=CALIBRATION.coverage,
         sentence=sentence(kind, named, stated, probabilities, floor_known(plays)),
         where=tuple(s for c in before for s in c.spans if s.end - s.start >= SHORTEST),
-        given=errors_of(given, compared(model, held)),
-        before=errors_of(before, compared(base_model, held)),
-        after=errors_of(after, compared(final, held)),
+        given=errors_of(given, judged[0]),
+        before=errors_of(before, judged[1]),
+        after=errors_of(after, judged[2]),
+        ball=tuple(errors_of(c, h, "m") for c, h in zip((given, before, after), judged, strict=True)) if rolls else (),
         floor={a.part.axis: (a.base.overall, _refit_of(a, chosen).overall) for a in axes},
         ranking={a.part.axis: a.ranking for a in axes},
         values={n: v for n, v in final.values().items() if n in _fitted(axes, chosen)},
@@ -111,7 +122,7 @@ def diagnose(
         evaluations=evaluations,
         seconds=time.monotonic() - started,
         next_experiment=experiment.name if experiment else None,
-        notes=_notes(model, parts, moved, plays, axes),
+        notes=_notes(model, parts, moved, plays, axes[: len(moved)]),
     )
     return Diagnosis(verdict, axes, base_model, final, given[0], before[0], after[0], experiment)
 
@@ -157,21 +168,26 @@ def _commands(play: Play, channel: str) -> Array:
 
 
 def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
-    """A model against each play, positions only, at the rig's own step."""
+    """A model against each play, positions only, the ball's where it was seen, at the rig's own step."""
     found = []
     for play in plays:
-        names = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in play.trials.signals]
+        positions = [m.signal for m in model.rig.measured if m.quantity == "position"]
+        positions += BALL_SIGNALS if sees_ball(model, [play]) else ()
+        names = [name for name in positions if name in play.trials.signals]
         set_so = model.with_values(dict(play.known), "known of the recording")
         found.append(compare(play.trials.select(names), roll_out(set_so, play.trials).select(names), KS))
     return found
 
 
-def errors_of(comparisons: Sequence[Comparison], held: Sequence[Comparison] = ()) -> Errors:
-    """Means over plays and signals; the held-out error over plays that were never fitted, if there are any."""
-    errors = [e.command_error for c in comparisons for e in c.errors]
+def errors_of(comparisons: Sequence[Comparison], held: Sequence[Comparison] = (), unit: str = "rad") -> Errors:
+    """Means over plays and signals in this unit; the held-out error over plays that were never fitted, if there are
+    any.
+    """
+    errors = [e.command_error for c in comparisons for e in c.errors if e.unit == unit]
     kept = []
     for c in held or comparisons:
         off = np.abs(c.sim_tunnel.mean - c.real_tunnel.mean)
+        off[:, [u != unit for u in c.real.units]] = np.nan
         kept.append(np.nanmean(off if held else off[_kept(c.real)]))
     joint_share = float(np.mean([c.alikeness[0].joint for c in comparisons]))
     return Errors(float(np.nanmean(errors)), float(np.nanmean(kept)), joint_share)
@@ -198,6 +214,9 @@ def _notes(
     for part in parts:
         if part not in moved:
             notes.append(f"No command moves axis {part.axis}: none of its effects can be seen. Play excite_12s.")
+    filmed = any(s in play.trials.signals for s in BALL_SIGNALS for play in plays)
+    if model.rig.ball and filmed and not sees_ball(model, plays):
+        notes.append("The ball was not seen where each recording begins, so its effects were not considered.")
     notes += [odd.sentence for axis in axes for odd in axis.odd]
     for axis in axes:
         torque = {m.signal for m in model.rig.measured if m.quantity == "torque"}

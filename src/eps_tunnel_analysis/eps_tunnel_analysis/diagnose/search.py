@@ -74,6 +74,7 @@ class Search:
         kept: (objective's samples,) not fitted; candidates are judged on them.
         used: (n,) which of the objective's samples are compared, R of them; None for all.
         told: called with the number of roll-outs so far.
+        difference: step of the finite differences, relative to the bounds' span.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class Search:
         kept: NDArray[np.bool_],
         used: NDArray[np.int64] | None = None,
         told: Callable[[int], None] | None = None,
+        difference: float = DIFFERENCE,
     ) -> None:
         self.library, self.objective, self.fine = library, objective, fine
         self.used = np.arange(len(objective.mean)) if used is None else used
@@ -98,7 +100,7 @@ class Search:
         self.scale = scale[self.used]
         self.shift = np.zeros(len(self.used))  # what the coarse step gets wrong, near where the search is
         self.evaluations = 0
-        self.told = told
+        self.told, self.difference = told, difference
         self._column = {name: i for i, name in enumerate(library.names)}
 
     def residuals(self, values: Array, fine: bool = False) -> Array:
@@ -139,7 +141,7 @@ class Search:
             return self.residuals(np.clip(self.low + z * span, self.low, self.high), fine)[:, fitted]
 
         z0 = (np.array([start for _, start in jobs]) - self.low) / span
-        found = descend(scaled, z0, free, rounds, DIFFERENCE, TOLERANCE)
+        found = descend(scaled, z0, free, rounds, self.difference, TOLERANCE)
         values = np.clip(self.low + found.z * span, self.low, self.high)
         whole = self.residuals(values, fine)
         return [
@@ -235,7 +237,7 @@ class Search:
             names += self.library.find(name).parameters
         columns = [self._column[name] for name in names]
         moved = np.tile(refit.values, (len(columns), 1))
-        steps = DIFFERENCE * span[columns]
+        steps = self.difference * span[columns]
         steps = np.where(refit.values[columns] + steps <= self.high[columns], steps, -steps)
         moved[np.arange(len(columns)), columns] += steps
         slopes = np.nan_to_num(self.residuals(moved) - refit.residuals).T

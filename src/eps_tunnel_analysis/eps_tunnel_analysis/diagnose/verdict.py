@@ -18,7 +18,7 @@ class Errors:
     """One model against the recordings, at the rig's own step.
 
     Attributes:
-        error: mean over the positions of equation 10, rad (m for a ball).
+        error: mean over the positions of equation 10, rad (m for the ball).
         held_out: mean absolute error on the samples kept from the fit, in the same unit.
         alikeness: joint, at k = 1.
     """
@@ -40,6 +40,7 @@ class Verdict:
         sentence: the verdict in plain words.
         where: time spent outside the tunnels by the model with refitted values, before anything is added.
         given, before, after: errors of the model as given, with its values refitted, and with the effects added.
+        ball: the same three of the ball, where it was seen.
         floor: mean square of each axis's residuals in units of the noise floor, before and after.
         ranking: by axis.
         values: what the effects' and the base's parameters came out as.
@@ -65,6 +66,7 @@ class Verdict:
     seconds: float
     next_experiment: str | None = None
     notes: tuple[str, ...] = field(default=())
+    ball: tuple[Errors, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers and words; NaN becomes None."""
@@ -85,6 +87,7 @@ class Verdict:
             "alikeness_as_given": self.given.alikeness,
             "alikeness_before": self.before.alikeness,
             "alikeness_after": self.after.alikeness,
+            **{f"ball_{w}": asdict(e) for w, e in zip(("as_given", "before", "after"), self.ball, strict=False)},
             "misfit_over_floor": {axis: list(pair) for axis, pair in self.floor.items()},
             "ranking": {axis: [{"name": r.name, **asdict(r)} for r in ranked] for axis, ranked in self.ranking.items()},
             "values": dict(self.values),
@@ -138,7 +141,7 @@ def in_words(name: str) -> str:
     effect, _, place = name.partition(".")
     known = library_effects()
     title = known[effect].title if effect in known else effect
-    return f"{title[0].lower()}{title[1:]} on {place}"
+    return f"{title[0].lower()}{title[1:]} on {'the ball' if place == 'ball' else place}"
 
 
 def _hypothesis(name: str) -> str:

@@ -28,7 +28,7 @@ def evidence(diagnosis: Diagnosis) -> Section:
         left = [factor * (c.sim_tunnel.mean[:, i] - real) for c in (before, after)]
         blocks.append(Heading(signal))
         for label, x in (
-            (f"measured angle in {unit}", factor * real),
+            (f"measured {'angle' if before.real.units[i] == 'rad' else 'place'} in {unit}", factor * real),
             (f"measured speed in {unit}/s", factor * speed),
             ("time since the command turned round in s", _since_reversal(before.real, signal)),
             ("time in s", before.real.time),

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every candidate that was refitted: what it explains and what it costs."""
 
+from eps_tunnel_analysis.diagnose.ball import part_name
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
 from eps_tunnel_analysis.report.page import Bar, Block, Facts, Heading, Section, Table, Text
 from labyrinth_sim.effect import effects as library_effects
@@ -12,7 +13,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
     """One table an axis, most probable first; then what the best could be mistaken for."""
     blocks: list[Block] = []
     for axis in diagnosis.axes:
-        blocks.append(Heading(f"Axis {axis.part.axis}"))
+        blocks.append(Heading(part_name(axis.part.axis).capitalize()))
         if not axis.refits:
             blocks.append(Text("The model with refitted values is within the noise; no candidate was tried."))
             continue

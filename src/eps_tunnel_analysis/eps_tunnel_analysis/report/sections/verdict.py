@@ -3,6 +3,7 @@
 
 import math
 
+from eps_tunnel_analysis.diagnose.ball import part_name
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.verdict import in_words
@@ -15,9 +16,10 @@ LISTED = 8  # hypotheses
 def verdict(diagnosis: Diagnosis) -> Section:
     """Sentence, probabilities, and what each step did to the error."""
     v = diagnosis.verdict
-    steps = [("as given", v.given), ("values refitted", v.before)]
-    if v.effects:
-        steps.append((f"with {' and '.join(in_words(name) for name in v.effects)}", v.after))
+    names = ["as given", "values refitted"]
+    names += [f"with {' and '.join(in_words(name) for name in v.effects)}"] if v.effects else []
+    steps = [(name, e, "rad") for name, e in zip(names, (v.given, v.before, v.after), strict=False)]
+    steps += [(f"the ball, {name}", e, "m") for name, e in zip(names, v.ball, strict=False)]
     shown = [(name, p) for name, p in v.set.items() if p >= 0.001][:LISTED]
     blocks: list[Block] = [
         Text(v.sentence),
@@ -29,8 +31,8 @@ def verdict(diagnosis: Diagnosis) -> Section:
         Table(
             ("model", "E (equation 10)", "on samples held out", "alike, k = 1"),
             [
-                (name, shown_value(e.error, "rad"), shown_value(e.held_out, "rad"), shown_share(e.alikeness))
-                for name, e in steps
+                (name, shown_value(e.error, unit), shown_value(e.held_out, unit), shown_share(e.alikeness))
+                for name, e, unit in steps
             ],
             caption="The staircase of error",
             numeric=(1, 2, 3),
@@ -39,7 +41,7 @@ def verdict(diagnosis: Diagnosis) -> Section:
             [
                 (
                     f"{math.sqrt(pair[1]):.2f}",
-                    f"axis {axis}: misfit over noise floor",
+                    f"{part_name(axis)}: misfit over noise floor",
                     f"{math.sqrt(pair[0]):.2f} before; no model goes far below 1",
                     None,
                 )
