@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array, Trials
 
 SETTLE = 0.5  # s after the command stopped during which the rig is still taken to be on its way
@@ -56,8 +57,15 @@ def mean_command(trials: Trials) -> Array:
     return np.where(seen, np.nanmedian(filled, axis=0), np.nan)
 
 
+CROSSWISE = dict(zip(BALL_SIGNALS, BALL_SIGNALS[::-1], strict=True))
+
+
 def channel_of(signal: str, channels: Sequence[str]) -> str | None:
-    """The command channel that moves a signal, by name: the same, its beginning, its last word, or the only one."""
+    """The command channel that moves a signal, by name: the same, its beginning, its last word, or the only one.
+
+    A board that turns about one axis rolls the ball along the other.
+    """
+    signal = CROSSWISE.get(signal, signal)
     for channel in sorted(channels, key=len, reverse=True):
         if signal == channel or signal.startswith(f"{channel}_"):
             return channel

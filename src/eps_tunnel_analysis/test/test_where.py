@@ -91,6 +91,7 @@ def test_a_signal_finds_its_command_channel():
     assert channel_of("motor_y_velocity", channels) == "motor_y"
     assert channel_of("board_x", channels) == "motor_x"
     assert channel_of("board_y_velocity", channels) == "motor_y"
+    assert channel_of("ball_x", channels) == "motor_y"
     assert channel_of("temperature", channels) is None
     assert channel_of("anything", ("servo",)) == "servo"
 

@@ -9,18 +9,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.ball import BALL, ROUGH, inexactness, on_ball, values_of
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
-from eps_tunnel_analysis.diagnose.noise import noise_floor
+from eps_tunnel_analysis.diagnose.samples import begun, floors, kept_samples, steady_efforts
 from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Look, Refit, Search
 from eps_tunnel_analysis.fit.free import by_axis, default_free
-from eps_tunnel_analysis.fit.objective import Objective, middle
+from eps_tunnel_analysis.fit.objective import Objective
 from eps_tunnel_analysis.plays import Play
-from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.effect import rivals
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
@@ -28,14 +25,6 @@ from labyrinth_sim.trials import Array
 
 COARSE = 0.005  # s, MuJoCo's step while searching
 FINE = 0.0025  # s, while judging; finer changes nothing that shows
-BLOCK = 0.6  # s; every KEEP_EVERYth block of samples is kept from the fit
-KEEP_EVERY = 3
-TURN = 0.05  # s over which a change of the command's speed counts as one
-SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
-SETTLED = 0.25  # s after which a motion is steady again
-EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves, but no less than
-LOAD_STEP = 0.001  # of the servo's full torque
-EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
 BASE_LOOKS = 64  # values of the base tried before it is descended, and
 BASE_STARTS = 5  # how many of them are descended
 REBASED = 3  # refits whose base values are sought anew, each from
@@ -114,8 +103,8 @@ def axis_search(
     channel = next((axis.command for axis in model.rig.axes if axis.name == part.axis), "")
     used = np.flatnonzero(~np.isin(objective.blocks % len(part.signals), efforts := _columns(part.signals, torque)))
     if efforts:
-        used = np.sort(np.concatenate([used, _steady_efforts(objective, plays, channel, efforts)]))
-    used = used[_begun(objective, plays)[used]]
+        used = np.sort(np.concatenate([used, steady_efforts(objective, plays, channel, efforts)]))
+    used = used[begun(objective, plays)[used]]
     full = model.values().get(f"drive.{part.axis}.torque", 0.0)
     scale = floors(objective, plays, efforts, channel, full)
     if part.axis == BALL:
@@ -126,81 +115,6 @@ def axis_search(
 
 def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
     return [i for i, name in enumerate(signals) if name in which]
-
-
-def _steady_efforts(
-    objective: Objective, plays: Sequence[Play], channel: str, columns: Sequence[int]
-) -> NDArray[np.int64]:
-    """Samples of an objective that belong to efforts and to steady motion."""
-    found = []
-    for number, play in enumerate(plays):
-        calm = steady(play, channel)
-        for column in columns:
-            part = np.flatnonzero(objective.blocks == number * len(objective.signals) + column)
-            found.append(part[calm[objective.samples[part]]])
-    return np.concatenate(found)
-
-
-def _begun(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool_]:
-    """(n,) samples after the start: a roll-out starts where sensors say, and a sensor may be wrong."""
-    found = np.zeros(len(objective.mean), dtype=bool)
-    for number, play in enumerate(plays):
-        late = play.trials.time - play.trials.time[0] >= SETTLED
-        part = objective.blocks // len(objective.signals) == number
-        found[part] = late[objective.samples[part]]
-    return found
-
-
-def steady(play: Play, channel: str) -> NDArray[np.bool_]:
-    """(T,) where the command has kept its speed for a while: at rest, on ramps, between the turns of a triangle.
-
-    Elsewhere a drive's effort is inertia, sampled once between the beats of a controller: not comparable.
-    """
-    trials = play.trials
-    command = middle(trials.commands)[:, trials.command_channels.index(channel)]
-    held = np.where(np.isfinite(command), command, 0.0)
-    span = max(1, round(TURN / trials.step))
-    speed = np.gradient(held, trials.step) if len(held) > 1 else np.zeros_like(held)
-    turn = maximum_filter1d(speed, span) - minimum_filter1d(speed, span)
-    busy = turn > SPEED_CHANGE * max(float(np.ptp(held)), 1e-9)
-    recent = max(1, round(SETTLED / trials.step))
-    return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)
-
-
-def floors(
-    objective: Objective, plays: Sequence[Play], efforts: Sequence[int] = (), channel: str = "", full: float = 0.0
-) -> Array:
-    """(n,) noise floor at each of an objective's samples.
-
-    Efforts get one of their own: a servo reports them in steps of its full load and by a torque constant that is known
-    to a few percent.
-    """
-    scale = np.empty(len(objective.mean))
-    for number, play in enumerate(plays):
-        trials = play.trials.select(objective.signals)
-        found = noise_floor(trials)
-        for i in range(len(objective.signals)):
-            mean = build_tunnel(trials).mean[:, i]
-            own = 0.0
-            if i in efforts:
-                calm = mean[steady(play, channel) & np.isfinite(mean)]
-                size = float(np.sqrt(np.mean(calm**2))) if len(calm) else 0.0
-                least = max(EFFORT_STEP * np.nanmax(np.abs(mean)), LOAD_STEP * full)
-                own = float(np.hypot(least, EFFORT_SHARE * size))
-            part = objective.blocks == number * len(objective.signals) + i
-            scale[part] = np.hypot(found.local[:, i], own)[objective.samples[part]]
-    return scale
-
-
-def kept_samples(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool_]:
-    """(R,) samples kept from the fit: every third block, so that each kind of motion is on both sides."""
-    kept = np.zeros(len(objective.mean), dtype=bool)
-    step = plays[0].trials.step
-    every = max(1, round(BLOCK / step))
-    for block in np.unique(objective.blocks):
-        part = np.flatnonzero(objective.blocks == block)
-        kept[part] = (np.arange(len(part)) // every) % KEEP_EVERY == KEEP_EVERY - 1
-    return kept
 
 
 def base_refit(search: Search, rounds: int = 8) -> Refit:

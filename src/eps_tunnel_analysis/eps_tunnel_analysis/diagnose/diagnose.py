@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import BLOCK, KEEP_EVERY, AxisPart, axis_parts, ball_part
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_parts, ball_part
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
 from eps_tunnel_analysis.diagnose.rank import joint
+from eps_tunnel_analysis.diagnose.samples import BLOCK, KEEP_EVERY
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
 from eps_tunnel_analysis.plays import Play
@@ -94,6 +95,8 @@ def diagnose(
         axes += (diagnose_axis(tilted, plays, ball_part(), on_ball, nthread, told, left.get(BALL, 0.0)),)
     probabilities = joint([axis.probabilities for axis in axes])
     kind, named, stated = decide(probabilities, CALIBRATION.coverage)
+    missing = {c.name: axis.base.overall for axis in axes for c in axis.search.library.candidates}
+    named = tuple(sorted(named, key=lambda name: -missing[name]))
     base_model = _with(model, axes, {})
     chosen = set(named)
     final = _with(model, axes, {a.part.axis: _refit_of(a, chosen) for a in axes})
