@@ -34,7 +34,8 @@ class Verdict:
 
     Attributes:
         verdict: "complete", "effect", "undecided" or "unknown".
-        effects: what is named: candidate names as `backlash.x`, on the axis that lacks most first; the most probable ones where undecided.
+        effects: what is named: candidate names as `backlash.x`, on the axis that lacks most first; the most probable
+            ones where undecided.
         set: hypotheses with their probabilities, "none" and "unknown" among them; they sum to 1.
         stated: the smallest part of `set` that holds the truth with probability `coverage`.
         sentence: the verdict in plain words.
