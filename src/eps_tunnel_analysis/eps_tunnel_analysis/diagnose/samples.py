@@ -13,9 +13,7 @@ from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.trials import Array
 
-BLOCK = (
-    0.2  # s; every KEEP_EVERYth block of samples is kept from the fit; longer ones may hold all that shows
-)
+BLOCK = 0.2  # s; every KEEP_EVERYth block of samples is kept from the fit; longer ones may hold all that shows
 KEEP_EVERY = 3
 TURN = 0.05  # s over which a change of the command's speed counts as one
 SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
