@@ -112,8 +112,8 @@ def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_picture(tmp_pa
 
 
 def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:
-    rig = OfflineRig("coulomb_friction.x=medium")
-    ending = ended(rig, tmp_path, ("coulomb_friction", "stribeck_friction"))
+    rig = OfflineRig("sensor_lag.motor_x=weak")
+    ending = ended(rig, tmp_path, ("sensor_lag", "sensor_delay"))
     assert rig.told[0] == "undecided", "choose rivals that the short sequence does not tell apart"
     proposed = json.loads((tmp_path / "diagnosis_1" / "diagnosis.json").read_text())["next_experiment"]
     assert Path(rig.played[1]).stem == proposed

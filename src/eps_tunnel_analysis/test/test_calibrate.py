@@ -42,8 +42,9 @@ def test_what_is_free_by_default_is_what_the_drives_and_effects_say() -> None:
     names = default_free(model)
     assert set(names) == {
         *(f"drive.{axis}.{name}" for axis in "xy" for name in ("p", "i", "d", "delay")), "backlash.y.width",
+        "backlash.y.hold",
     }  # fmt: skip
-    assert free_parameters(model, ["backlash.*", "drive.x.p"]) == ("drive.x.p", "backlash.y.width")
+    assert free_parameters(model, ["backlash.*", "drive.x.p"]) == ("drive.x.p", "backlash.y.width", "backlash.y.hold")
     with pytest.raises(InputError, match="Did you mean 'drive"):
         free_parameters(model, ["drive.x.q"])
 
