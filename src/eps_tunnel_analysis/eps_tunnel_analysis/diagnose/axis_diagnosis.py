@@ -44,6 +44,7 @@ class AxisDiagnosis:
     Attributes:
         base, best: residuals before and after; `best` is the base where nothing is named.
         probabilities: name of a set -> probability, "none" and "unknown" among them.
+        timed: the same probabilities if uneven timing of the trials is not held against completeness.
         odd: signals whose trials differ as no effect of the library makes them.
     """
 
@@ -53,6 +54,7 @@ class AxisDiagnosis:
     refits: tuple[Refit, ...]
     ranking: tuple[Ranked, ...]
     probabilities: Mapping[str, float]
+    timed: Mapping[str, float]
     odd: tuple[Repeats, ...] = ()
 
     @property
@@ -103,9 +105,12 @@ def diagnose_axis(
                 break
     independent = _independent(search, _lowest([base, *refits]))
     odd = tuple(r for play in plays for r in repeats(play.trials, _positions(model, part)) if r.sentence)
-    ranking, unknown = rank(base, refits, independent, tried, once, any(o.drift for o in odd), bool(odd), floor)
+    drifts = any(o.drift for o in odd)
+    ranking, unknown = rank(base, refits, independent, tried, once, drifts, bool(odd), floor)
     probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
-    return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities, odd)
+    even, unknown = rank(base, refits, independent, tried, once, drifts, False, floor)
+    timed = {r.name: r.probability for r in even} | {UNKNOWN: unknown}
+    return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities, timed, odd)
 
 
 def floor_known(plays: Sequence[Play]) -> bool:

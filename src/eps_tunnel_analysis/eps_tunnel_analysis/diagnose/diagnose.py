@@ -14,7 +14,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_parts, ball_
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
-from eps_tunnel_analysis.diagnose.rank import joint
+from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
 from eps_tunnel_analysis.diagnose.samples import BLOCK, KEEP_EVERY
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
@@ -90,10 +90,10 @@ def diagnose(
     axes = tuple(diagnose_axis(model, alone, p, names, nthread, told, left.get(p.axis, 0.0)) for p in moved)
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.
-        found = set(decide(joint([axis.probabilities for axis in axes]), CALIBRATION.coverage)[1])
+        found = set(decide(_together(axes), CALIBRATION.coverage)[1])
         tilted = _with(model, axes, {a.part.axis: _refit_of(a, found) for a in axes})
         axes += (diagnose_axis(tilted, plays, ball_part(), on_ball, nthread, told, left.get(BALL, 0.0)),)
-    probabilities = joint([axis.probabilities for axis in axes])
+    probabilities = _together(axes)
     kind, named, stated = decide(probabilities, CALIBRATION.coverage)
     missing = {c.name: axis.base.overall for axis in axes for c in axis.search.library.candidates}
     named = tuple(sorted(named, key=lambda name: -missing[name]))
@@ -128,6 +128,16 @@ def diagnose(
         notes=_notes(model, parts, moved, plays, axes[: len(moved)]),
     )
     return Diagnosis(verdict, axes, base_model, final, given[0], before[0], after[0], experiment)
+
+
+def _together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
+    """Probabilities of what is missing on all axes.
+
+    Where one axis lacks an effect, uneven timing alone makes no unknown of the others; a sentence tells it.
+    """
+    likely = [max(axis.probabilities, key=lambda name: axis.probabilities[name]) for axis in axes]
+    named = any(name not in (NONE, UNKNOWN) for name in likely)
+    return joint([axis.timed if named else axis.probabilities for axis in axes])
 
 
 def _refit_of(axis: AxisDiagnosis, named: set[str]) -> Refit:
