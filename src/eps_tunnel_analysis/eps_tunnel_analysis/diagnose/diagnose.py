@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis, floor_known
@@ -15,7 +14,7 @@ from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ba
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
-from eps_tunnel_analysis.diagnose.samples import BLOCK, KEEP_EVERY
+from eps_tunnel_analysis.diagnose.samples import kept_of
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
 from eps_tunnel_analysis.plays import Play
@@ -23,7 +22,7 @@ from eps_tunnel_analysis.rollout import roll_out
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
-from labyrinth_sim.trials import Array, Trials
+from labyrinth_sim.trials import Array
 
 KS = (1.0, 2.0, 3.0, 5.0)
 SHORTEST = 0.05  # s, of a span outside the tunnel that is told
@@ -201,14 +200,9 @@ def errors_of(comparisons: Sequence[Comparison], held: Sequence[Comparison] = ()
     for c in held or comparisons:
         off = np.abs(c.sim_tunnel.mean - c.real_tunnel.mean)
         off[:, [u != unit for u in c.real.units]] = np.nan
-        kept.append(np.nanmean(off if held else off[_kept(c.real)]))
+        kept.append(np.nanmean(off if held else off[kept_of(len(c.real.time), c.real.step)]))
     joint_share = float(np.mean([c.alikeness[0].joint for c in comparisons]))
     return Errors(float(np.nanmean(errors)), float(np.nanmean(kept)), joint_share)
-
-
-def _kept(trials: Trials) -> NDArray[np.bool_]:
-    every = max(1, round(BLOCK / trials.step)) if trials.step else 1
-    return np.asarray((np.arange(len(trials.time)) // every) % KEEP_EVERY == KEEP_EVERY - 1)
 
 
 def _notes(

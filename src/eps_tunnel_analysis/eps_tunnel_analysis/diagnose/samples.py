@@ -74,10 +74,11 @@ def floors(
     for number, play in enumerate(plays):
         trials = play.trials.select(objective.signals)
         found = noise_floor(trials)
+        means = build_tunnel(trials).mean
         for i in range(len(objective.signals)):
-            mean = build_tunnel(trials).mean[:, i]
             own = 0.0
             if i in efforts:
+                mean = means[:, i]
                 calm = mean[steady(play, channel) & np.isfinite(mean)]
                 size = float(np.sqrt(np.mean(calm**2))) if len(calm) else 0.0
                 least = max(EFFORT_STEP * np.nanmax(np.abs(mean)), LOAD_STEP * full)
@@ -88,11 +89,15 @@ def floors(
 
 
 def kept_samples(objective: Objective, plays: Sequence[Play]) -> NDArray[np.bool_]:
-    """(R,) samples kept from the fit: every third block, so that each kind of motion is on both sides."""
+    """(R,) samples kept from the fit, of each signal of each play."""
     kept = np.zeros(len(objective.mean), dtype=bool)
-    step = plays[0].trials.step
-    every = max(1, round(BLOCK / step))
     for block in np.unique(objective.blocks):
         part = np.flatnonzero(objective.blocks == block)
-        kept[part] = (np.arange(len(part)) // every) % KEEP_EVERY == KEEP_EVERY - 1
+        kept[part] = kept_of(len(part), plays[0].trials.step)
     return kept
+
+
+def kept_of(count: int, step: float) -> NDArray[np.bool_]:
+    """(count,) samples, `step` s apart, kept from the fit: every third block, so that each motion is on both sides."""
+    every = max(1, round(BLOCK / step)) if step else 1
+    return np.asarray((np.arange(count) // every) % KEEP_EVERY == KEEP_EVERY - 1)
