@@ -43,11 +43,12 @@ def load_with_efforts(arguments: argparse.Namespace) -> Recorded:
 
     if arguments.signals:
         return load_recorded(arguments)
-    for ball in (BALL_SIGNALS, ()):
-        with suppress(InputError):
-            rig = load_rig(arguments.rig) if arguments.rig else load_model(arguments.model, arguments.effects).rig
-            names = [m.signal for m in rig.measured if m.quantity in ("position", "torque")]
-            return load_recorded(argparse.Namespace(**{**vars(arguments), "signals": [*names, *ball]}))
+    with suppress(InputError):
+        rig = load_rig(arguments.rig) if arguments.rig else load_model(arguments.model, arguments.effects).rig
+        names = [m.signal for m in rig.measured if m.quantity in ("position", "torque")]
+        for ball in (BALL_SIGNALS, ()) if rig.ball else ((),):
+            with suppress(InputError):
+                return load_recorded(argparse.Namespace(**{**vars(arguments), "signals": [*names, *ball]}))
     return load_recorded(arguments)
 
 
