@@ -2,7 +2,7 @@
 """The one engine under batches and the live node: many simulations of one plan, a sample at a time."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -58,8 +58,9 @@ class Engine:
         ]
         native_errors = any(e and c is None for e, c in zip(self._errors, self._controllers, strict=True))
         self._every_step = bool(self._hooks) or native_errors
-        self._off = np.zeros((nsim, len(plan.drives)), dtype=bool)
-        self._measured = [_address(plan.mj, m) for m in model.rig.measured]
+        self._off, self._any_off = np.zeros((nsim, len(plan.drives)), dtype=bool), False
+        self._measured = self._columns([_address(plan.mj, m) for m in model.rig.measured])
+        self._signals = len(model.rig.measured) + (len(BALL_SIGNALS) if plan.with_ball else 0)
         self._ctrl = self.batch.bind("ctrl")
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS if plan.with_ball else mujoco.mjtStage.mjSTAGE_NONE)
         self.failed: NDArray[np.bool_] = np.zeros(nsim, dtype=bool)
@@ -97,12 +98,12 @@ class Engine:
         off = np.isnan(target)
         if (off != self._off).any():
             self._switch(off)
-        errors = [self._error(i, target[:, i]) for i in range(target.shape[1])]
         for i, (_, _, site) in enumerate(self.plan.drives):
             controller = self._controllers[i]
             if controller:
-                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, controller(np.where(off[:, i], 0.0, errors[i])))
-                if off[:, i].any():
+                error = np.where(off[:, i], 0.0, self._error(i, target[:, i]))
+                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, controller(error))
+                if self._any_off:
                     controller.restart(off[:, i])
             elif not self._errors[i]:
                 self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, target[:, i])
@@ -138,10 +139,10 @@ class Engine:
         for i, (_, _, site) in enumerate(self.plan.drives):
             bits |= np.where(off[:, i], 1 << site.group, 0).astype(np.int32)
         self.fields["opt.disableactuator"][...] = bits
-        self._off = off
+        self._off, self._any_off = off, bool(off.any())
 
     def _run(self, call: Callable[[NDArray[np.int32] | None], None]) -> None:
-        ids = None if not self.failed.any() else np.flatnonzero(~self.failed).astype(np.int32)
+        ids = np.flatnonzero(~self.failed).astype(np.int32) if self.messages else None
         if ids is not None and ids.size == 0:
             return
         try:
@@ -163,13 +164,22 @@ class Engine:
 
     def measure(self) -> Array:
         """(nsim, m) signals now, before any sensor's effects; the ball's last."""
-        columns = []
-        for quantity, address in self._measured:
-            source = {"position": self.live.qpos, "velocity": self.live.qvel, "torque": self.live.actuator}[quantity]
-            columns.append(source[:, address])
+        seen = np.empty((self.nsim, self._signals))
+        for source, addresses, columns in self._measured:
+            seen[:, columns] = source[:, addresses]
         if self.plan.with_ball:
-            columns += list(self.ball().T[:2])
-        return np.stack(columns, axis=1)
+            seen[:, -2:] = self.ball()[:, :2]
+        return seen
+
+    def _columns(self, measured: Sequence[tuple[str, int]]) -> list[tuple[Array, list[int], list[int]]]:
+        """What is measured, gathered from each array at once: the array, its columns, and theirs among the signals."""
+        sources = {"position": self.live.qpos, "velocity": self.live.qvel, "torque": self.live.actuator}
+        found = []
+        for quantity, source in sources.items():
+            columns = [i for i, (q, _) in enumerate(measured) if q == quantity]
+            if columns:
+                found.append((source, [measured[i][1] for i in columns], columns))
+        return found
 
     def ball(self) -> Array:
         """(nsim, 3) m, the ball's centre in its site's frame."""

@@ -20,11 +20,15 @@ BALL_SIGNALS = ("ball_x", "ball_y")
 
 @dataclass(frozen=True)
 class Measured:
-    """One measured signal: `quantity` ("position", "velocity", "torque") of a joint of the MJCF."""
+    """One measured signal: `quantity` ("position", "velocity", "torque") of a joint of the MJCF.
+
+    `resolution` is the coarsest tick that its sensor is known to have, in the signal's unit; 0 where that is not known.
+    """
 
     signal: str
     joint: str
     quantity: str
+    resolution: float = 0.0
 
     @property
     def unit(self) -> str:
@@ -180,12 +184,14 @@ def _axis(path: Path, name: str, entry: Any, complaints: list[str]) -> Axis | No
     for signal, spec in _mapping(path, f"axes.{name}.measured", entry.get("measured") or {}, found).items():
         if not WORD.match(str(signal)):
             found.append(f"{where}: signal '{signal}' must be a legal ROS topic word.")
-        if not isinstance(spec, dict) or set(spec) != {"joint", "quantity"}:
-            found.append(f"{where}: signal '{signal}' needs joint and quantity, got {spec!r}.")
+        if not isinstance(spec, dict) or set(spec) - {"resolution"} != {"joint", "quantity"}:
+            found.append(f"{where}: signal '{signal}' needs joint and quantity, and may have resolution, got {spec!r}.")
+        elif not is_number(tick := spec.get("resolution", 0.0)) or tick < 0.0:
+            found.append(f"{where}: signal '{signal}': resolution must be a number, at least 0, got {tick!r}.")
         elif spec["quantity"] not in QUANTITIES:
             found.append(f"{where}: signal '{signal}': {unknown_name('quantity', str(spec['quantity']), QUANTITIES)}")
         else:
-            measured.append(Measured(str(signal), str(spec["joint"]), str(spec["quantity"])))
+            measured.append(Measured(str(signal), str(spec["joint"]), str(spec["quantity"]), float(tick)))
     complaints += found
     if found:
         return None

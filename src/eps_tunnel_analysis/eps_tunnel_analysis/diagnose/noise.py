@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The noise floor: how close to the measured mean any model can come."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from labyrinth_sim.trials import Array, Trials, locked
 
 DRIFT = 0.3  # s over which deviations of trials are pooled to see them drift
 CHANCE = 1.5
+TICK_SHARE = 1.1  # of a known tick: how well the one in the samples is seen
 
 
 @dataclass(frozen=True)
@@ -38,19 +40,22 @@ class NoiseFloor:
             object.__setattr__(self, name, locked(getattr(self, name)))
 
 
-def noise_floor(trials: Trials, raw: Trials | None = None) -> NoiseFloor:
+def noise_floor(trials: Trials, known: Mapping[str, float] | None = None) -> NoiseFloor:
     """Noise floor of repeated trials.
 
     Args:
         trials: at least one; with a single one only the sensor's resolution is known.
-        raw: trials before resampling, if the grid of `trials` blurs the resolution.
+        known: signal -> the coarsest tick that its sensor is known to have. A coarser one is no property of the sensor
+            but something that a model may lack, so it is not counted.
     """
     values = trials.values
     deviations = values - mean_over_trials(values)
     seen = np.sum(~np.isnan(deviations), axis=(0, 1))
     freedom = np.maximum(seen * (1.0 - 1.0 / trials.count), 1.0)
     repeat = np.sqrt(np.nansum(deviations**2, axis=(0, 1)) / freedom)
-    steps = np.array([resolution((raw or trials).values[:, :, i]) for i in range(len(trials.signals))])
+    steps = np.array([resolution(values[:, :, i]) for i in range(len(trials.signals))])
+    coarsest = np.array([(known or {}).get(signal, 0.0) or np.inf for signal in trials.signals])
+    steps = np.where(steps > TICK_SHARE * coarsest, 0.0, steps)
     p = max(trials.count, 2)
     jumps = np.diff(deviations, axis=1)
     white = np.minimum(np.sqrt(0.5 * np.nan_to_num(_mean(jumps**2, (0, 1))) * p / (p - 1)), repeat)

@@ -71,9 +71,10 @@ def floors(
     to a few percent.
     """
     scale = np.empty(len(objective.mean))
+    known = {m.signal: m.resolution for m in objective.model.rig.measured}
     for number, play in enumerate(plays):
         trials = play.trials.select(objective.signals)
-        found = noise_floor(trials)
+        found = noise_floor(trials, known)
         means = build_tunnel(trials).mean
         for i in range(len(objective.signals)):
             own = 0.0

@@ -31,7 +31,7 @@ class VelocityPid:
         self.sum = self.sum + error * self.step
         speed = self.p * error + self.i * self.sum + self.d * (error - self.last)
         self.last = error
-        return np.clip(speed, -FASTEST, FASTEST)
+        return np.maximum(np.minimum(speed, FASTEST), -FASTEST)
 
     def restart(self, which: Array) -> None:
         self.sum = np.where(which, 0.0, self.sum)

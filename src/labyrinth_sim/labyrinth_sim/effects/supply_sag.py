@@ -23,8 +23,13 @@ def step(live: Live, site: Site, values: Values) -> None:
         slope = 1.0 + sag * full.sum(axis=0)
         room = 1.0 - 4.0 * slope * sag * np.where(full, 0.0, wanted**2).sum(axis=0)
         factor = (1.0 + np.sqrt(np.maximum(room, 0.0))) / (2.0 * slope)
-        largest = ~full & (wanted >= np.where(full, 0.0, wanted).max(axis=0))
-        full |= (wanted > factor) | ((room < 0.0) & largest)
+        short = room < 0.0
+        more = ~full & (wanted > factor)
+        if short.any():
+            more |= ~full & (wanted >= np.where(full, 0.0, wanted).max(axis=0)) & short
+        if not more.any():
+            break
+        full |= more
     drive, place = live.drives[site.channel]
     drive.supply(live, place, factor)
 
