@@ -13,11 +13,13 @@ A benchmark that is cut off keeps what it has: the JSON file is written anew aft
 import argparse
 import json
 import multiprocessing
+import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -152,13 +154,6 @@ def _oracle(found: Diagnosis, model: Model, plays: list[Play], truth: str, threa
 
 def figures(records: list[dict[str, Any]]) -> dict[str, float | None]:
     """The table of keys; None where no case speaks to one."""
-
-    def right(r: dict[str, Any]) -> float:
-        named = " + ".join(sorted(r["effects"]))
-        if r["verdict"] == "effect":
-            return float(named == r["truth"])
-        return 0.5 if r["verdict"] == "undecided" and r["truth"] in r["stated"] and len(r["stated"]) <= 2 else 0.0
-
     single = [r for r in records if r["kind"] == "single"]
     true = [r for r in records if "oracle" in r and r["held_out"][0] - r["oracle"] > 0.1 * r["held_out"][0]]
     drops = [(r["held_out"][0] - r["held_out"][1]) / (r["held_out"][0] - r["oracle"]) for r in true]
@@ -175,6 +170,13 @@ def figures(records: list[dict[str, Any]]) -> dict[str, float | None]:
         "decided_after_experiment": _mean([float(_decided(r)) for r in tried]),
         "median_seconds": float(np.median([r["seconds"] for r in records])) if records else None,
     }  # fmt: skip
+
+
+def right(r: dict[str, Any]) -> float:
+    """1 for an effect named right, 1/2 for a set of two that holds the truth, else 0."""
+    if r["verdict"] == "effect":
+        return float(" + ".join(sorted(r["effects"])) == r["truth"])
+    return 0.5 if r["verdict"] == "undecided" and r["truth"] in r["stated"] and len(r["stated"]) <= 2 else 0.0
 
 
 def _decided(r: dict[str, Any]) -> bool:
@@ -224,7 +226,9 @@ def main() -> None:
         print(f"{record['seed']} {record['truth']} ({record['strength'] or '-'}, {record['shows']:.1f} x floor) -> "
               f"{record['verdict']} {', '.join(record['stated'])} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
         if arguments.json:
-            content = {"seed": arguments.seed, "figures": figures(records), "cases": records}
+            threads = arguments.threads or os.cpu_count()
+            content = {"seed": arguments.seed, "date": str(date.today()), "threads": threads,
+                       "figures": figures(records), "cases": records}  # fmt: skip
             arguments.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(f"\n{len(records)} cases in {time.monotonic() - started:.0f} s")
     for key, value in figures(records).items():

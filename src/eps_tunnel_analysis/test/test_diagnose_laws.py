@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.candidates import library, starts
-from eps_tunnel_analysis.diagnose.experiment import Experiment, menu
+from eps_tunnel_analysis.diagnose.experiment import Experiment, left_after_fit
 from eps_tunnel_analysis.diagnose.gate import complete, gate, unexplained
+from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.noise import noise_floor
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint, name_of, rank, smallest_set
 from eps_tunnel_analysis.diagnose.search import Refit
@@ -196,3 +197,16 @@ def test_every_experiment_can_be_written_read_back_and_played() -> None:
         sequence = parse_sequence(yaml.safe_load(text), name, name)
         sequence.check_limits(limits)
         np.testing.assert_allclose(sequence.commands[0].sample(100.0)[1], command.sample(100.0)[1], atol=1e-7)
+
+
+def test_rivals_differ_by_what_neither_can_be_fitted_to() -> None:
+    rng = np.random.default_rng(4)
+    truth, rival, way = rng.standard_normal((3, 50))
+    stiff = np.array([rival])
+    assert left_after_fit(truth, stiff, np.zeros((20, 0))) == pytest.approx(np.sum((truth - rival) ** 2))
+    towards = np.array([rival, rival + 0.01 * (truth - rival)])
+    assert left_after_fit(truth, towards, np.zeros((20, 1))) == pytest.approx(0.0, abs=1e-12)
+    held = left_after_fit(truth, towards, np.full((20, 1), 1e3))  # what the old recordings forbid
+    assert held == pytest.approx(np.sum((truth - rival) ** 2), rel=1e-3)
+    aside = np.array([rival, rival + way])
+    assert 0.0 < left_after_fit(truth, aside, np.zeros((20, 1))) < np.sum((truth - rival) ** 2)

@@ -1,28 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The next experiment: the command, from a menu, on which the fitted rivals differ most.
+"""The next experiment: a command, from a menu, after which the rivals would still differ.
 
-Hunter and Reiner (Technometrics 7, 1965): run what has the largest expected misfit between the rivals.
+Hunter and Reiner (Technometrics 7, 1965) run what has the largest expected misfit between the rivals as fitted. But
+both are fitted to the new recording too, so what counts is the misfit that is left when each has adapted as far as the
+old recordings let it, to first order. And where several commands decide, the gentlest does: a harsh one shows also what
+the rest of the model lacks, which the old recordings could not tell.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import combinations
+from itertools import permutations
 
 import numpy as np
 import yaml
 
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.menu import menu
+from eps_tunnel_analysis.diagnose.rank import LEAST, NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.samples import SETTLED, is_steady
+from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import SUFFIXES
-from eps_tunnel_analysis.sequence_shapes import Chirp, Hold, Ramp, Shape, Step, Triangle
+from eps_tunnel_analysis.sequence_shapes import Shape
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
+from labyrinth_sim.trials import Array
 
-SHARES = (0.25, 0.5, 0.9)  # of an axis's range
-RANGE = 0.1  # rad, where a rig states no limits
 RATE = 100.0  # Hz
+STEP = 0.005  # s, MuJoCo's
+ENOUGH = 0.5  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood
 
 
 @dataclass(frozen=True)
@@ -33,8 +40,8 @@ class Experiment:
         name: of the sequence.
         command: what is played.
         rivals: the hypotheses that it separates.
-        misfit: expected root mean square difference between them, in units of the noise floor, or of what the best
-            model leaves where that is unknown.
+        misfit: expected root mean square of what is left between them after each was fitted to it, in units of the
+            noise floor, or of what the best model leaves where that is unknown.
         reason: in words.
     """
 
@@ -69,78 +76,106 @@ def _entry(shape: Shape) -> dict[str, dict[str, float]]:
     return {shape.word: body}
 
 
-def menu(model: Model, axis: str) -> dict[str, Command]:
-    """Commands for one axis, the others at rest, by name."""
-    channels = model.rig.command_channels
-    chosen = next(i for i, a in enumerate(model.rig.axes) if a.name == axis)
-    limits = model.rig.axes[chosen].limits
-    reach = min(abs(limits[0]), abs(limits[1])) if limits else RANGE
-    found = {}
-    for share in SHARES:
-        size = share * reach
-        for name, shapes in _shapes(size).items():
-            label = f"{name}_{axis}_{round(math.degrees(size) * 10):d}"
-            lasts = math.fsum(s.lasts for s in shapes)
-            rows = tuple(tuple(shapes) if i == chosen else (Hold(lasts),) for i in range(len(channels)))
-            found[label] = Command(label, channels, (0.0,) * len(channels), rows)
-    return found
+@dataclass(frozen=True)
+class _Rival:
+    """A hypothesis: its probability, (1 + k, K) values as fitted and with each fitted one moved a little, and (R, k)
+    how the old residuals follow, each of them weighing 1 / R.
+    """
 
-
-def _shapes(size: float) -> dict[str, list[Shape]]:
-    return {
-        "slow_triangles": [Hold(0.5), Triangle(5.0, size / 4, 0.4), Triangle(6.0, size, 1 / 3), Hold(0.5)],
-        "fast_triangles": [Hold(0.5), Triangle(4.0, size / 2, 1.5), Triangle(4.0, size / 4, 3.0), Hold(0.5)],
-        "steps": [Hold(0.5), *[Step(1.0, s * size) for s in (0.25, -0.25, 0.5, -0.5, 1.0, -1.0, 0.1, 0.0)]],
-        "staircase": [Hold(0.3), *[Step(0.6, size * i / 5) for i in (1, 2, 3, 4, 5, 4, 3, 2, 1, 0, -1, -3, -5, -3, 0)]],
-        "ramps": [Hold(0.3), Ramp(2.5, size), Ramp(1.5, -size), Ramp(0.8, size), Ramp(0.4, 0.0), Ramp(4.0, -size),
-                  Hold(0.5)],
-        "chirp": [Hold(0.3), Chirp(8.0, size / 2, 0.3, 5.0), Hold(0.5)],
-    }  # fmt: skip
+    name: str
+    probability: float
+    points: Array
+    old: Array
 
 
 def next_experiment(
     axes: Sequence[AxisDiagnosis], model: Model, stated: Sequence[str], floor: bool = True
 ) -> Experiment | None:
-    """The command on which the rivals of the stated set differ most, on the axis where they do; None without rivals.
+    """The gentlest command after which the rivals of the stated set differ enough; if none, where they differ most.
+
+    Where the only rival of an effect is something unknown, the one that shows most of the effect; None where there is
+    neither.
 
     Args:
         floor: whether the noise floor is known; if not, what the best model leaves is the unit.
     """
-    best: Experiment | None = None
-    for axis in axes:
-        names = {c.name for c in axis.search.library.candidates}
-        mine: dict[frozenset[str], str] = {}
-        for name in stated:
-            if name != UNKNOWN:
-                mine.setdefault(frozenset(set(name.split(" + ")) & names if name != NONE else ()), name)
-        refits = {e: next((r for r in (axis.base, *axis.refits) if set(r.effects) == e), None) for e in mine}
-        rivals = {e: r for e, r in refits.items() if r is not None}
-        if len(rivals) < 2:
+    named = "the noise floor" if floor else "what is left"
+    found = [(axis, _rivals(axis, stated)) for axis in axes]
+    alone = all(len(rivals) < 2 for _, rivals in found) and UNKNOWN in stated
+    offers: list[tuple[Experiment, float]] = []
+    for axis, refits in found:
+        if alone and refits and refits[0].effects:
+            refits = [refits[0], axis.base]
+        if len(refits) < 2:
             continue
-        commands = menu(model, axis.part.axis)
-        unit = 1.0 if floor else math.sqrt(axis.best.overall)
-        floors = {
-            s: unit * float(np.median(axis.search.scale[axis.search.signal == i]))
-            for i, s in enumerate(axis.part.signals)
-        }
-        table = np.array([r.values for r in rivals.values()])
-        probabilities = np.array([axis.probabilities.get(" + ".join(sorted(e)) or NONE, 0.0) for e in rivals])
-        for name, command in commands.items():
-            time, targets = command.sample(RATE)
-            result = simulate_batch(
-                axis.search.library.model, axis.search.library.names, table, time, targets[None], {}, timestep=0.005
-            )
-            positions = [s for s in axis.part.signals if result.units[result.signals.index(s)] != "N m"]
-            scaled = np.stack([result.values[:, 0, :, result.signals.index(s)] / floors[s] for s in positions], axis=-1)
-            misfit = 0.0
-            for i, j in combinations(range(len(table)), 2):
-                weight = probabilities[i] * probabilities[j]
-                misfit += weight * float(np.nanmean((scaled[i] - scaled[j]) ** 2))
-            total = sum(probabilities[i] * probabilities[j] for i, j in combinations(range(len(table)), 2))
-            size = math.sqrt(misfit / total) if total > 0 else 0.0
-            if best is None or size > best.misfit:
-                named = "the noise floor" if floor else "what is left"
-                told = " and ".join(sorted(" + ".join(sorted(e)) or NONE for e in rivals))
-                reason = f"Decides between {told}: they differ by {size:.1f} times {named} here."
-                best = Experiment(name, command, tuple(mine.values()), size, reason)
-    return best
+        rivals = [_rival(axis, refit) for refit in refits]
+        told = " and ".join(sorted(r.name for r in rivals))
+        start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
+        for name, command in menu(model, axis.part.axis).items():
+            answers, harsh = _answers(axis, rivals, command, 1.0 if floor else math.sqrt(axis.best.overall))
+            apart = weight = 0.0
+            for i, j in permutations(range(len(rivals)), 2):
+                both = max(rivals[i].probability * rivals[j].probability, LEAST)
+                apart += both * left_after_fit(answers[i][0], answers[j], rivals[j].old)
+                weight += both
+            size = math.sqrt(apart / weight)
+            reason = f"{start} by {size:.1f} times {named} here, once each is fitted to it."
+            offers.append((Experiment(name, command, tuple(r.name for r in rivals), size, reason), harsh))
+    deciding = [offer for offer in offers if offer[0].misfit >= ENOUGH]
+    if deciding:
+        return min(deciding, key=lambda offer: offer[1])[0]
+    return max((e for e, _ in offers), key=lambda e: e.misfit, default=None)
+
+
+def _rivals(axis: AxisDiagnosis, stated: Sequence[str]) -> list[Refit]:
+    """The refits of stated hypotheses that differ on this axis."""
+    names = {c.name for c in axis.search.library.candidates}
+    chosen: dict[frozenset[str], Refit] = {}
+    for name in stated:
+        mine = frozenset(() if name in (NONE, UNKNOWN) else names & set(name.split(" + ")))
+        refit = next((r for r in (axis.base, *axis.refits) if set(r.effects) == mine), None)
+        if name != UNKNOWN and refit is not None:
+            chosen.setdefault(mine, refit)
+    return list(chosen.values())
+
+
+def _rival(axis: AxisDiagnosis, refit: Refit) -> _Rival:
+    name = " + ".join(sorted(refit.effects)) or NONE
+    points = np.vstack([refit.values, axis.search.moved(refit)])
+    old = axis.search.residuals(points)
+    slopes = np.nan_to_num(old[1:] - old[0]).T / math.sqrt(old.shape[1])
+    return _Rival(name, axis.probabilities.get(name, 0.0), points, slopes)
+
+
+def _answers(axis: AxisDiagnosis, rivals: Sequence[_Rival], command: Command, unit: float) -> tuple[list[Array], float]:
+    """(1 + k, n) for each rival: the compared samples of its roll-outs, in units of the floor, each of weight 1 / n.
+
+    And how harsh the command is: root mean square acceleration, rad/s^2, of all joints.
+    """
+    search, signals = axis.search, axis.part.signals
+    floors = [unit * float(np.median(search.scale[search.signal == i])) for i in range(len(signals))]
+    time, targets = command.sample(RATE)
+    table = np.vstack([r.points for r in rivals])
+    model = search.library.model
+    positions = tuple(m.signal for m in model.rig.measured if m.quantity == "position")
+    every = (*signals, *(name for name in positions if name not in signals))
+    result = simulate_batch(model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP)
+    bends = np.diff(result.values[0, 0][:, [every.index(name) for name in positions]], 2, axis=0)
+    harsh = float(np.sqrt(np.nanmean(bends**2))) / (time[1] - time[0]) ** 2
+    late = time - time[0] >= SETTLED
+    channel = model.rig.command_channels.index(model.rig.axis(axis.part.axis).command)
+    calm = late & is_steady(targets[:, channel], time[1] - time[0])
+    parts = [
+        result.values[:, 0, calm if result.units[i] == "N m" else late, i] / floors[i] for i in range(len(signals))
+    ]
+    seen = np.nan_to_num(np.concatenate(parts, axis=1))
+    ends = np.cumsum([len(r.points) for r in rivals])[:-1]
+    return [part / math.sqrt(seen.shape[1]) for part in np.split(seen, ends)], harsh
+
+
+def left_after_fit(truth: Array, rival: Array, old: Array) -> float:
+    """Mean square that a rival (1 + k, n), adapting, leaves of a truth (n,); it pays on the old residuals (R, k)."""
+    wanted = np.concatenate([truth - rival[0], np.zeros(len(old))])
+    slopes = np.vstack([(rival[1:] - rival[0]).T, old])
+    change = np.linalg.lstsq(slopes, wanted, rcond=None)[0]
+    return float(np.sum((wanted - slopes @ change) ** 2))

@@ -52,13 +52,17 @@ def steady(play: Play, channel: str) -> NDArray[np.bool_]:
     Elsewhere a drive's effort is inertia, sampled once between the beats of a controller: not comparable.
     """
     trials = play.trials
-    command = middle(trials.commands)[:, trials.command_channels.index(channel)]
+    return is_steady(middle(trials.commands)[:, trials.command_channels.index(channel)], trials.step)
+
+
+def is_steady(command: Array, step: float) -> NDArray[np.bool_]:
+    """(T,) whether a command (T,) rad, NaN where the drive is off, has kept its speed for a while."""
     held = np.where(np.isfinite(command), command, 0.0)
-    span = max(1, round(TURN / trials.step))
-    speed = np.gradient(held, trials.step) if len(held) > 1 else np.zeros_like(held)
+    span = max(1, round(TURN / step))
+    speed = np.gradient(held, step) if len(held) > 1 else np.zeros_like(held)
     turn = maximum_filter1d(speed, span) - minimum_filter1d(speed, span)
     busy = turn > SPEED_CHANGE * max(float(np.ptp(held)), 1e-9)
-    recent = max(1, round(SETTLED / trials.step))
+    recent = max(1, round(SETTLED / step))
     return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)
 
 

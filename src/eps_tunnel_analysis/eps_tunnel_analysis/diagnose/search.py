@@ -229,18 +229,21 @@ class Search:
             overall=mean_square(whole),
         )
 
-    def _basis(self, refit: Refit) -> Array:
-        """(R, k) orthonormal: the directions in which the base values, and effects fitted already, move residuals."""
-        span = self.high - self.low
+    def moved(self, refit: Refit) -> Array:
+        """(k, K) values of a refit with each of its fitted ones, the base's first, moved by a finite difference."""
         names = list(self.library.base)
         for name in refit.effects:
             names += self.library.find(name).parameters
         columns = [self._column[name] for name in names]
         moved = np.tile(refit.values, (len(columns), 1))
-        steps = self.difference * span[columns]
+        steps = self.difference * (self.high - self.low)[columns]
         steps = np.where(refit.values[columns] + steps <= self.high[columns], steps, -steps)
         moved[np.arange(len(columns)), columns] += steps
-        slopes = np.nan_to_num(self.residuals(moved) - refit.residuals).T
+        return moved
+
+    def _basis(self, refit: Refit) -> Array:
+        """(R, k) orthonormal: the directions in which the base values, and effects fitted already, move residuals."""
+        slopes = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
         slopes[self.kept] = 0.0
         vectors, sizes, _ = np.linalg.svd(slopes, full_matrices=False)
         return np.asarray(vectors[:, sizes > 1e-6 * max(sizes.max(initial=0.0), 1e-300)])
