@@ -132,6 +132,11 @@ def test_four_verdicts(found: dict[str, float], kind: str, effects: tuple[str, .
     assert sentence(said, named, stated, {NONE: 0.0, UNKNOWN: 0.0, **found})
 
 
+def test_unknown_tells_what_explains_a_part() -> None:
+    told = sentence("unknown", (), (UNKNOWN,), {UNKNOWN: 0.97}, partly={"backlash.x": 0.62, "gain_error.y": 0.3})
+    assert "backlash (belt slack) on x explains 62% of it and gain error on y explains 30% of it" in told
+
+
 def test_names_do_not_depend_on_the_order_in_which_effects_were_added() -> None:
     assert name_of(["b.y", "a.x"]) == name_of(["a.x", "b.y"]) == "a.x + b.y"
 

@@ -26,6 +26,7 @@ from labyrinth_sim.trials import Array
 
 KS = (1.0, 2.0, 3.0, 5.0)
 SHORTEST = 0.05  # s, of a span outside the tunnel that is told
+WORTH_TELLING = 0.2  # of an axis's misfit
 MOVES = 1e-3  # rad; a command that spans less excites nothing
 
 
@@ -111,7 +112,7 @@ def diagnose(
         set=probabilities,
         stated=stated,
         coverage=CALIBRATION.coverage,
-        sentence=sentence(kind, named, stated, probabilities, floor_known(plays)),
+        sentence=sentence(kind, named, stated, probabilities, floor_known(plays), _partly(axes)),
         where=tuple(s for c in before for s in c.spans if s.end - s.start >= SHORTEST),
         given=errors_of(given, judged[0]),
         before=errors_of(before, judged[1]),
@@ -137,6 +138,16 @@ def _together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
     likely = [max(axis.probabilities, key=lambda name: axis.probabilities[name]) for axis in axes]
     named = any(name not in (NONE, UNKNOWN) for name in likely)
     return joint([axis.timed if named else axis.probabilities for axis in axes])
+
+
+def _partly(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
+    """For each axis that lacks something: the likeliest effects, and which share of its misfit they take away."""
+    found = {}
+    for axis in (a for a in axes if a.base.overall > CALIBRATION.gate):
+        most = next((ranked for ranked in axis.ranking if ranked.effects), None)
+        if most and most.explained >= WORTH_TELLING:
+            found[most.name] = most.explained
+    return found
 
 
 def _refit_of(axis: AxisDiagnosis, named: set[str]) -> Refit:

@@ -115,9 +115,19 @@ def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, t
 
 
 def sentence(
-    kind: Kind, effects: Sequence[str], stated: Sequence[str], probabilities: Mapping[str, float], floor: bool = True
+    kind: Kind,
+    effects: Sequence[str],
+    stated: Sequence[str],
+    probabilities: Mapping[str, float],
+    floor: bool = True,
+    partly: Mapping[str, float] | None = None,
 ) -> str:
-    """The verdict in plain words; `floor` tells whether trials were repeated."""
+    """The verdict in plain words.
+
+    Args:
+        floor: whether trials were repeated.
+        partly: hypotheses that explain a share of what is missing, told where not all of it is explained.
+    """
     if kind == "complete" and not floor:
         return (
             f"No effect of the library explains more ({probabilities[NONE]:.0%}); whether what is left is noise, one "
@@ -126,8 +136,10 @@ def sentence(
     if kind == "complete":
         return f"Nothing is missing within the noise ({probabilities[NONE]:.0%})."
     if kind == "unknown":
+        most = [f"{_hypothesis(name)} explains {share:.0%} of it" for name, share in (partly or {}).items()]
+        part = f", though {' and '.join(most)}" if most else ""
         return (
-            f"Something is missing that no known effect explains ({probabilities[UNKNOWN]:.0%}); "
+            f"Something is missing that no known effect explains in full ({probabilities[UNKNOWN]:.0%}){part}; "
             "look at what is left over speed, position and time."
         )
     if kind == "effect":
