@@ -159,6 +159,15 @@ def test_a_rig_that_fails_is_written_down(tmp_path: Path) -> None:
         ("x", False, [], "unknown", ["unknown"], "Right: the verdict was 'unknown'."),
         ("x", True, [], "undecided", ["none", "backlash.x"], "It is one of the 2 hypotheses"),
         ("x", True, [], "complete", ["none"], "That was not found."),
+        (
+            "x",
+            True,
+            ["gain_error.y", "backlash.x"],
+            "complete",
+            ["none"],
+            "It was found; named besides: gain error",
+        ),
+        ("x", True, ["backlash.x"], "undecided", ["none", "gain_error.y"], "It was found; whether that is all"),
     ],
 )
 def test_a_verdict_is_judged_by_what_was_hidden(

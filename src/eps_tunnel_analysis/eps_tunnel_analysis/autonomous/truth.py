@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.verdict import in_words
 
 
 def truth(hidden: Sequence[Mapping[str, Any]]) -> str:
@@ -35,6 +36,10 @@ def judged(hidden: Sequence[Mapping[str, Any]], effects: Sequence[str], ending: 
     said = " + ".join(sorted(effects)) or {"unknown": UNKNOWN, "complete": NONE}.get(ending, "")
     if said == true and ending != "undecided":
         return "Right." if effects else f"Right: the verdict was '{ending}'."
+    hid = set(true.split(" + "))
+    if hid <= set(effects):
+        more = " and ".join(map(in_words, sorted(set(effects) - hid)))
+        return f"It was found; named besides: {more}." if more else "It was found; whether that is all is not decided."
     if ending == "undecided" and true in stated:
         return f"It is one of the {len(stated)} hypotheses that these recordings leave."
     return "That was not found."
