@@ -9,8 +9,10 @@ from bag_files import joint_states, response, servo_bag
 from recording_cases import SECOND, START, joints, mark
 
 from eps_tunnel_analysis.recording import BagWriter, read, to_plays
+from eps_tunnel_analysis.recording.channel_map import held_by_all
 from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.rig import load_rig
 
 
 def marked(folder: Path, hashes: list[str]) -> Path:
@@ -63,3 +65,28 @@ def test_what_is_wrong_with_two_commands_is_told_at_once(tmp_path: Path) -> None
     assert len(to_plays([read(bag) for bag in bags]).plays) == 2, "another length is another command"
     with pytest.raises(InputError, match="No recordings"):
         to_plays([])
+
+
+NAMES = ("motor_x", "motor_y", "board_x", "board_y")
+
+
+def with_efforts(folder: Path, efforts: dict[str, float]) -> Path:
+    """Joint states of the labyrinth whose efforts rise from 0 to these, N m; NaN elsewhere."""
+    with BagWriter(folder) as writer:
+        writer.add_topic("/real/joint_states", JOINT_STATE)
+        for i in range(10):
+            at = START + i * SECOND // 100
+            rising = [i * efforts.get(name, np.nan) for name in NAMES]
+            writer.write("/real/joint_states", at, joints(at, NAMES, [0.0] * 4, [np.nan] * 4, rising))
+    return folder
+
+
+def test_efforts_are_read_where_every_bag_measured_them(tmp_path: Path) -> None:
+    rig = load_rig("labyrinth")
+    both = read(with_efforts(tmp_path / "both", {"motor_x": 0.1, "motor_y": 0.1}))
+    one = read(with_efforts(tmp_path / "one", {"motor_x": 0.1}))
+    zeros = read(with_efforts(tmp_path / "zeros", {"motor_x": 0.0, "motor_y": 0.1}))
+    positions = {"motor_x", "motor_y", "board_x", "board_y"}
+    assert set(held_by_all(rig, [both])) == positions | {"motor_x_effort", "motor_y_effort"}
+    assert set(held_by_all(rig, [both, one])) == positions | {"motor_x_effort"}
+    assert set(held_by_all(rig, [one, zeros])) == positions

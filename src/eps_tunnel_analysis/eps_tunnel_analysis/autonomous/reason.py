@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from eps_tunnel_analysis.autonomous.rig import Bags
-from eps_tunnel_analysis.cli.diagnosing import load_with_efforts, write_diagnosis
+from eps_tunnel_analysis.cli.diagnosing import write_diagnosis
 from eps_tunnel_analysis.cli.folder import new_folder
 from eps_tunnel_analysis.cli.main import parser
+from eps_tunnel_analysis.cli.plays import load_recorded
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
 from labyrinth_sim.model import Model
 
@@ -64,7 +65,7 @@ def find_reason(
         InputError: what `diagnose` raises, or bags that cannot be read.
     """
     arguments = _arguments(model, played, folder)
-    recorded = load_with_efforts(arguments)
+    recorded = load_recorded(arguments, efforts=True)
     recorded = replace(recorded, model=within(recorded.model, limit) if limit else recorded.model)
     found = diagnose(
         recorded.model, recorded.plays, search.seed, search.candidates, search.threads, told, once=once

@@ -8,7 +8,8 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, load_with_efforts, progress
+from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, progress
+from eps_tunnel_analysis.cli.plays import load_recorded
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
 from eps_tunnel_analysis.cli.tables import console, table
 from labyrinth_sim.errors import InputError
@@ -38,7 +39,7 @@ def run(arguments: argparse.Namespace) -> None:
     out = out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
     if out.exists():
         raise InputError(f"--out {out}: exists already and is never overwritten. Name another.")
-    recorded = load_with_efforts(arguments)
+    recorded = load_recorded(arguments, efforts=True)
     with progress(arguments.progress) as told:
         added = add_effects(recorded.model, recorded.plays, arguments.names, arguments.threads, told, recorded.held)
     content = added.to_json()

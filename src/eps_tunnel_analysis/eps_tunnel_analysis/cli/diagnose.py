@@ -9,11 +9,11 @@ from pathlib import Path
 from eps_tunnel_analysis.cli.diagnosing import (
     add_diagnosis_arguments,
     diagnosis_content,
-    load_with_efforts,
     progress,
     write_diagnosis,
 )
 from eps_tunnel_analysis.cli.folder import new_folder, refuse_existing
+from eps_tunnel_analysis.cli.plays import load_recorded
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
 from eps_tunnel_analysis.cli.tables import console, table
 
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.diagnose.diagnose import diagnose
 
     refuse_existing(arguments.out)
-    recorded = load_with_efforts(arguments)
+    recorded = load_recorded(arguments, efforts=True)
     with progress(arguments.progress) as told:
         found = diagnose(
             recorded.model,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands that diagnose have in common: reading with efforts, progress, files."""
+"""What the commands that diagnose have in common: options, progress, files."""
 
 import argparse
 import json
@@ -7,16 +7,15 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from eps_tunnel_analysis.cli.plays import Recorded, add_known_arguments, load_recorded
+from eps_tunnel_analysis.cli.plays import Recorded, add_known_arguments
 from eps_tunnel_analysis.cli.versions import versions
-from labyrinth_sim.errors import InputError
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
@@ -32,24 +31,6 @@ def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="of this machine (default: all)")
     parser.add_argument("--progress", choices=("bar", "lines"), default="bar",
                         help="on stderr: a bar, or lines of JSON for programs (default: %(default)s)")  # fmt: skip
-
-
-def load_with_efforts(arguments: argparse.Namespace) -> Recorded:
-    """Reads --model and --real, the ball and efforts too where the bags have them: efforts tell friction from a dead
-    band.
-    """
-    from labyrinth_sim.model import load_model
-    from labyrinth_sim.rig import BALL_SIGNALS, load_rig
-
-    if arguments.signals:
-        return load_recorded(arguments)
-    with suppress(InputError):
-        rig = load_rig(arguments.rig) if arguments.rig else load_model(arguments.model, arguments.effects).rig
-        names = [m.signal for m in rig.measured if m.quantity in ("position", "torque")]
-        for ball in (BALL_SIGNALS, ()) if rig.ball else ((),):
-            with suppress(InputError):
-                return load_recorded(argparse.Namespace(**{**vars(arguments), "signals": [*names, *ball]}))
-    return load_recorded(arguments)
 
 
 @contextmanager

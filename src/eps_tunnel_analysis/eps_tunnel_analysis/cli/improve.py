@@ -8,9 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, load_with_efforts, progress, write_diagnosis
+from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, progress, write_diagnosis
 from eps_tunnel_analysis.cli.folder import new_folder, refuse_existing
 from eps_tunnel_analysis.cli.live_arguments import add_live_arguments, improve_live
+from eps_tunnel_analysis.cli.plays import load_recorded
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
 from eps_tunnel_analysis.cli.tables import console, table
 from labyrinth_sim.errors import InputError
@@ -52,7 +53,7 @@ def _improve(arguments: argparse.Namespace) -> None:
     from labyrinth_sim.model import save_model
 
     refuse_existing(arguments.out)
-    recorded = load_with_efforts(arguments)
+    recorded = load_recorded(arguments, efforts=True)
     steps: list[dict[str, Any]] = []
     with new_folder(arguments.out) as folder:
         model, once = recorded.model, None

@@ -37,8 +37,8 @@ class Recorded:
     held: "tuple[Play, ...]" = ()
 
 
-def load_recorded(arguments: argparse.Namespace) -> Recorded:
-    """Reads --model and --real.
+def load_recorded(arguments: argparse.Namespace, efforts: bool = False) -> Recorded:
+    """Reads --model and --real; with `efforts`, these and the ball too where all bags have them.
 
     Raises:
         InputError: everything wrong with either, at once.
@@ -53,8 +53,10 @@ def load_recorded(arguments: argparse.Namespace) -> Recorded:
     paths = attempt(lambda: bags(arguments.real))
     held_paths = attempt(lambda: bags(getattr(arguments, "held_out", None) or []))
     known = attempt(lambda: known_of([*(paths or []), *(held_paths or [])], getattr(arguments, "known", None) or []))
-    read = attempt(lambda: _plays(paths, rig, arguments, known)) if paths is not None and known is not None else None
-    held = attempt(lambda: _plays(held_paths, rig, arguments, known)) if held_paths and known is not None else None
+    read = held = None
+    if known is not None:
+        read = attempt(lambda: _plays(paths, rig, arguments, known, efforts)) if paths is not None else None
+        held = attempt(lambda: _plays(held_paths, rig, arguments, known, efforts)) if held_paths else None
     complaints.check()
     assert model is not None and read is not None and paths is not None
     return Recorded(
@@ -104,7 +106,11 @@ def known_of(paths: Sequence[Path], rules: Sequence[str]) -> dict[Path, dict[str
 
 
 def _plays(
-    paths: Sequence[Path], rig: "Rig | None", arguments: argparse.Namespace, known: Mapping[Path, Mapping[str, float]]
+    paths: Sequence[Path],
+    rig: "Rig | None",
+    arguments: argparse.Namespace,
+    known: Mapping[Path, Mapping[str, float]],
+    efforts: bool,
 ) -> "PlaysResult":
     """The plays of bags; the same command under other known values is another play."""
     from eps_tunnel_analysis.plays import Play
@@ -112,7 +118,7 @@ def _plays(
     from eps_tunnel_analysis.recording.plays import PlaysResult
 
     recordings = read_all(paths, arguments.time_source)
-    how = reading(recordings, rig, arguments)
+    how = reading(recordings, rig, arguments, efforts)
     groups: dict[tuple[tuple[str, float], ...], list[Recording]] = {}
     for path, recording in zip(paths, recordings, strict=True):
         groups.setdefault(tuple(sorted(known[path].items())), []).append(recording)

@@ -166,12 +166,21 @@ def _read(paths: Sequence[Path], rig: "Rig | None", arguments: argparse.Namespac
     return to_trials(recordings, rig, **reading(recordings, rig, arguments))
 
 
-def reading(recordings: "Sequence[Recording]", rig: "Rig | None", arguments: argparse.Namespace) -> dict[str, Any]:
-    """How the arguments of `add_bag_arguments` want recordings brought onto a grid; for `to_trials` and `to_plays`."""
+def reading(
+    recordings: "Sequence[Recording]", rig: "Rig | None", arguments: argparse.Namespace, efforts: bool = False
+) -> dict[str, Any]:
+    """How the arguments of `add_bag_arguments` want recordings brought onto a grid; for `to_trials` and `to_plays`.
+
+    Args:
+        efforts: read the rig's efforts too where all recordings have them, and the ball only where all have it.
+    """
     from eps_tunnel_analysis.recording import guessed_map
+    from eps_tunnel_analysis.recording.channel_map import held_by_all
 
     names = arguments.signals
-    if names is None and rig is not None:
+    if names is None and rig is not None and efforts:
+        names = held_by_all(rig, recordings)
+    elif names is None and rig is not None:
         names = _recorded(
             [n for n, unit in zip(rig.signals, rig.units, strict=True) if unit in POSITIONS], rig, recordings
         )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ChannelMap: which column of which topic is which signal or command."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE
 from eps_tunnel_analysis.recording.recording import Recording
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.rig import Rig
+from labyrinth_sim.rig import BALL_SIGNALS, Rig
 
 FIELDS = {"position": ("position", ""), "velocity": ("velocity", "_velocity"), "torque": ("effort", "_effort")}
 UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
@@ -101,6 +101,25 @@ def guessed_map(recording: Recording, namespace: str | None = None) -> ChannelMa
             f"it holds {', '.join(f'{n} ({t.type})' for n, t in recording.topics.items()) or 'neither'}."
         )
     return ChannelMap(tuple(signals), tuple(commands))
+
+
+def held_by_all(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
+    """A rig's joint positions, and those of its efforts and of its ball that every recording holds numbers of."""
+    holding = []
+    for recording in recordings:
+        sources = channel_map(rig, namespace_of(recording)).signals
+        holding.append({source.name for source in sources if _holds(recording, source)})
+    optional = {*BALL_SIGNALS, *(m.signal for m in rig.measured if m.quantity == "torque")}
+    wanted = {m.signal for m in rig.measured if m.quantity == "position"} | optional.intersection(*holding)
+    return [name for name in rig.signals if name in wanted]
+
+
+def _holds(recording: Recording, source: Source) -> bool:
+    topic = recording.topics.get(source.topic)
+    column = topic.columns.get(source.column) if topic else None
+    if column is None or not (seen := column[np.isfinite(column)]).size:
+        return False
+    return source.unit != UNITS["effort"] or bool(np.ptp(seen) > 0.0)  # some drivers fill in zeros
 
 
 def namespace_of(recording: Recording) -> str:
