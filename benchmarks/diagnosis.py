@@ -228,7 +228,7 @@ def main() -> None:
         if arguments.json:
             threads = arguments.threads or os.cpu_count()
             content = {"seed": arguments.seed, "date": str(date.today()), "threads": threads,
-                       "figures": figures(records), "cases": records}  # fmt: skip
+                       "workers": arguments.workers, "figures": figures(records), "cases": records}  # fmt: skip
             arguments.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(f"\n{len(records)} cases in {time.monotonic() - started:.0f} s")
     for key, value in figures(records).items():

@@ -35,15 +35,17 @@ LEVELS = (0.0, 0.5, 0.7, 0.9, 0.99, 0.999, 1.0 + 1e-9)
 Record = dict[str, Any]
 
 
-def page(content: dict[str, Any], timed: dict[str, Any] | None) -> str:
+def page(content: dict[str, Any]) -> str:
     """The part of the page, in Markdown."""
     records: list[Record] = content["cases"]
     kinds = {kind: sum(r["kind"] == kind for r in records) for kind in ("single", "pair", "none", "outside")}
     lines = [
         f"{len(records)} cases of {content['date']}, seeds {records[0]['seed']} to {records[-1]['seed']}: "
         f"{kinds['single']} single effects, {kinds['pair']} pairs of strong ones, {kinds['none']} with nothing hidden,",
-        f"{kinds['outside']} outside the library. `python benchmarks/diagnosis.py --cases {len(records)} "
-        f"--seed {content['seed']} --workers 2 --threads 1 --json out.json`. In brackets: how many cases speak to it.",
+        f"{kinds['outside']} outside the library. In brackets: how many cases speak to a figure.",
+        "",
+        f"    python benchmarks/diagnosis.py --cases {len(records)} --seed {content['seed']} "
+        f"--workers {content['workers']} --threads {content['threads']} --json out.json",
         "",
         "| key | means | measured | bar |",
         "|---|---|---|---|",
@@ -51,12 +53,14 @@ def page(content: dict[str, Any], timed: dict[str, Any] | None) -> str:
     measured = figures(records)
     for key, (means, bar, speaks) in KEYS.items():
         value = measured[key]
-        told = "–" if value is None else f"{value:.2f}"
+        told = "–" if value is None else f"{value:.3f}"
         lines.append(f"| `{key}` | {means} | {told} ({sum(map(speaks, records))}) | {bar} |")
-    if timed:
-        seconds = timed["figures"]["median_seconds"]
-        lines.append(f"| `median_seconds` | one diagnosis, whole library, both axes, {timed['threads']} threads, s | "
-                     f"{seconds:.0f} ({len(timed['cases'])}) | 60 |")  # fmt: skip
+    seconds = measured["median_seconds"]
+    if seconds is not None:
+        beside = "alone" if content["workers"] == 1 else f"{content['workers']} side by side"
+        threads = f"{content['threads']} thread{'s' * (content['threads'] > 1)}"
+        means = f"one diagnosis, whole library, both axes, on {threads}, {beside}, s"
+        lines.append(f"| `median_seconds` | {means} | {seconds:.0f} ({len(records)}) | 60 on 2 cores |")
     lines += ["", *_by_effect(records), "", *_reliability(records), "", *_misses(records)]
     return "\n".join(lines) + "\n"
 
@@ -114,13 +118,10 @@ def main() -> None:
     """Rewrites the page's part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("json", type=Path)
-    parser.add_argument("--timed", type=Path)
-    given = parser.parse_args()
-    content = json.loads(given.json.read_text(encoding="utf-8"))
-    timed = json.loads(given.timed.read_text(encoding="utf-8")) if given.timed else None
+    content = json.loads(parser.parse_args().json.read_text(encoding="utf-8"))
     text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
-    PAGE.write_text(f"{before}{BEGIN}\n{page(content, timed)}{END}{rest.split(END)[1]}", encoding="utf-8")
+    PAGE.write_text(f"{before}{BEGIN}\n{page(content)}{END}{rest.split(END)[1]}", encoding="utf-8")
 
 
 if __name__ == "__main__":
