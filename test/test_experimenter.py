@@ -119,9 +119,10 @@ def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_pa
     assert Path(rig.played[1]).stem == proposed
     assert (tmp_path / f"{proposed}.yaml").exists()
     assert "it decides" in notebook(tmp_path)
-    both = json.loads((tmp_path / "diagnosis_2" / "diagnosis.json").read_text())["sources"]
-    assert len(both) == 2
-    assert ending.verdict in ("complete", "undecided")
+    again = json.loads((tmp_path / "diagnosis_2" / "diagnosis.json").read_text())
+    assert len(again["sources"]) == 2
+    assert again["set"]["sensor_lag.motor_x"] > again["set"]["sensor_delay.motor_x"], "what it was played for"
+    assert ending.verdict == rig.told[-1], "a loop ends with what its last diagnosis says"
 
 
 def test_the_step_limit_ends_the_loop(tmp_path: Path) -> None:
