@@ -100,6 +100,23 @@ def test_the_motor_obeys_its_back_emf() -> None:
     assert p.servo_speed[0, 0] == pytest.approx(12.0 / 1.75, rel=0.01)
 
 
+def test_the_supply_gives_what_both_motors_draw() -> None:
+    """At full duty the circuit says V = (V0 + r sum(ke w) / R) / (1 + 2 r / R); none of it flutters."""
+    r, winding, ke = 10.0, 2.9, 1.75
+    p = plant(
+        QUIET.with_values({"supply_resistance": r, "current_limit": 100.0, "rotor_inertia": 0.05, "command_delay": 0.0})
+    )
+    p.command(np.array([[0.12, 0.12]]))
+    seen = []
+    for _ in range(8):
+        p.advance(1)
+        seen.append(float(p.motor.supply[0, 0]))
+    expected = (12.0 + r * ke * p.servo_speed[0].sum() / winding) / (1 + 2 * r / winding)
+    assert np.abs(p.firmware.duty).min() == 1.0
+    assert seen[-1] == pytest.approx(expected, rel=0.03)
+    assert np.ptp(seen[-4:]) < 0.2
+
+
 def test_gravity_moves_the_board_to_the_statics_answer() -> None:
     p = plant(QUIET.with_values({"gravity_moment": 0.2}))
     p.advance(2000)

@@ -62,10 +62,13 @@ class Filter(Protocol):
 
 
 class Controller(Protocol):
-    """A drive's law, called once a sample."""
+    """What a drive's law does between its samples and at each of them; the rest of it is MuJoCo's actuator."""
 
-    def __call__(self, error: Array) -> Array:
-        """Actuator control (nsim,) from target - angle (nsim,) rad."""
+    def sample(self, error: Array) -> None:
+        """Once a sample, with target - angle (nsim,) rad."""
+
+    def __call__(self, target: Array) -> Array:
+        """Actuator control (nsim,) while the drive sees this target (nsim,) rad."""
 
     def restart(self, which: Array) -> None:
         """Forgets the past of the simulations marked in `which` (nsim,) bool, as when the drive is switched off."""
@@ -146,9 +149,10 @@ class Drive:
         spec: makes the axis's actuator, whatever the values.
         fields: writes the values into the compiled model.
         target: makes the filter of the target (rad), as for a delay; None for none.
-        controller: makes the law that is evaluated once a sample; None where MuJoCo's actuator does it all and its
-            control is the target.
-        supply: scales the axis's strength by (nsim,) while stepping, as a sagging supply does; gets the base fields.
+        controller: makes what MuJoCo's actuator cannot do of the law; None where it does it all and its control is the
+            target.
+        supply: scales the axis's strength while stepping, as a sagging supply does: gets (nsim,) of the full voltage,
+            and (nsim,) signed share of it that back-EMF takes.
         strength: model fields that `supply` writes.
         free: parameters that a calibration fits unless told otherwise, `joint.armature` being the shaft's; empty for
             all.
@@ -161,7 +165,7 @@ class Drive:
     parameters: tuple[Parameter, ...]
     spec: "Callable[[mujoco.MjSpec, Site], None]"
     fields: "Callable[[Fields, Site, Values], None]"
-    supply: "Callable[[Live, Site, Array], None]"
+    supply: "Callable[[Live, Site, Array, Array], None]"
     strength: tuple[str, ...] = ("actuator_forcerange",)
     target: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
     controller: "Callable[[Values, float], Controller] | None" = None

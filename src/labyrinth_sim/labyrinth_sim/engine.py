@@ -56,8 +56,7 @@ class Engine:
             kind.controller(_local(values, prefix), step) if kind.controller else None
             for kind, prefix, _ in plan.drives
         ]
-        native_errors = any(e and c is None for e, c in zip(self._errors, self._controllers, strict=True))
-        self._every_step = bool(self._hooks) or native_errors
+        self._every_step = bool(self._hooks) or any(self._errors)
         self._off, self._any_off = np.zeros((nsim, len(plan.drives)), dtype=bool), False
         self._measured = self._columns([_address(plan.mj, m) for m in model.rig.measured])
         self._signals = len(model.rig.measured) + (len(BALL_SIGNALS) if plan.with_ball else 0)
@@ -98,15 +97,13 @@ class Engine:
         off = np.isnan(target)
         if (off != self._off).any():
             self._switch(off)
-        for i, (_, _, site) in enumerate(self.plan.drives):
-            controller = self._controllers[i]
+        for i, controller in enumerate(self._controllers):
             if controller:
-                error = np.where(off[:, i], 0.0, self._error(i, target[:, i]))
-                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, controller(error))
+                controller.sample(np.where(off[:, i], 0.0, self._error(i, target[:, i])))
                 if self._any_off:
                     controller.restart(off[:, i])
-            elif not self._errors[i]:
-                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, target[:, i])
+            if not self._errors[i]:
+                self._control(i, target[:, i], off[:, i])
         if not self._every_step:
             self._run(lambda ids: self.batch.step(ids, self.substeps, self._stage))
             return
@@ -115,12 +112,16 @@ class Engine:
             stage = self._stage if k == self.substeps - 1 else 0
             self._run(partial(self.batch.step, nstep=1, stage=stage))
 
+    def _control(self, channel: int, target: Array, off: NDArray[np.bool_]) -> None:
+        controller = self._controllers[channel]
+        control = controller(target) if controller else target
+        self._ctrl[:, self.plan.drives[channel][2].actuator] = np.where(off, 0.0, control)
+
     def _before_step(self, target: Array, off: NDArray[np.bool_]) -> None:
         for i, (_, _, site) in enumerate(self.plan.drives):
-            if self._errors[i] and self._controllers[i] is None:
+            if self._errors[i]:
                 error = target[:, i] - self.live.qpos[:, site.qpos]
-                seen = target[:, i] + (self._error(i, target[:, i]) - error)
-                self._ctrl[:, site.actuator] = np.where(off[:, i], 0.0, seen)
+                self._control(i, target[:, i] + (self._error(i, target[:, i]) - error), off[:, i])
         if self._hooks:
             self.live.restore()
             for placed, values in self._hooks:

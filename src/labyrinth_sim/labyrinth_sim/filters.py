@@ -65,7 +65,10 @@ class Lag:
 
 
 class RateLimit:
-    """Moves towards its input no faster than `rate` (nsim,) per s, from `start` (nsim,). NaN passes and restarts it."""
+    """Moves towards its input no faster than `rate` (nsim,) per s, from `start` (nsim,). NaN passes and restarts it.
+
+    What comes out is held for a sample, so it is the mean over that sample.
+    """
 
     def __init__(self, rate: Array, free: NDArray[np.bool_], step: float, start: Array) -> None:
         self.most, self.free, self.last = rate * step, free, np.array(start, float)
@@ -75,10 +78,10 @@ class RateLimit:
         last = self.last
         for k in range(own.shape[1]):
             now = own[:, k]
-            last = np.where(
-                self.free | np.isnan(last), now, last + np.minimum(np.maximum(now - last, -self.most), self.most)
-            )
-            out[:, k] = last
+            free = self.free | np.isnan(last) | np.isnan(now)
+            way = np.minimum(np.maximum(now - last, -self.most), self.most)
+            last = np.where(free, now, last + way)
+            out[:, k] = np.where(free, now, last - 0.5 * way * np.abs(way) / self.most)
         self.last = last
         return out
 

@@ -2,6 +2,7 @@
 """What the drives have in common: a torque up to a limit that follows the supply, and a target that comes late."""
 
 import mujoco
+import numpy as np
 
 from labyrinth_sim.effect import Values
 from labyrinth_sim.filters import Delay
@@ -23,9 +24,16 @@ def set_torque(fields: Fields, site: Site, torque: Array) -> None:
     fields["actuator_forcerange"][:, site.actuator, 1] = torque
 
 
-def scale_torque(live: Live, site: Site, factor: Array) -> None:
-    """Scales the largest torque by (nsim,), as a supply that sags does."""
-    live["actuator_forcerange"][:, site.actuator] *= factor[:, None]
+def scale_torque(live: Live, site: Site, factor: Array, speed: Array) -> None:
+    """Scales the largest torque as a supply that sags does.
+
+    Args:
+        factor: (nsim,) of the full voltage.
+        speed: (nsim,) signed share of it that back-EMF takes.
+    """
+    limits = live["actuator_forcerange"][:, site.actuator]
+    limits[:, 0] *= np.maximum(factor + speed, 0.0)
+    limits[:, 1] *= np.maximum(factor - speed, 0.0)
 
 
 def delay(values: Values, site: Site, step: float, start: Array) -> Delay | None:

@@ -68,8 +68,8 @@ def drive_scene(model: Model, size: float) -> Scene:
 
 
 def ball_scene(model: Model) -> Scene:
-    """The board level for a second, then tilted; 90 mm of free corridor lie before the ball, then a wall."""
-    t = np.arange(301) * STEP
+    """The board level for a second, then tilted; 90 mm of corridor before the ball, a wall shortly before the end."""
+    t = np.arange(271) * STEP
     return Scene(model, np.stack([0 * t, np.where(t < 1, 0.0, 0.012)], axis=1), {"ball_x": 0.18, "ball_y": 0.135})
 
 

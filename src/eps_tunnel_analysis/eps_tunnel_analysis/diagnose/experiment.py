@@ -29,7 +29,7 @@ from labyrinth_sim.trials import Array
 
 RATE = 100.0  # Hz
 STEP = 0.005  # s, MuJoCo's
-ENOUGH = 0.5  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood
+ENOUGH = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood, at worst
 
 
 @dataclass(frozen=True)

@@ -84,5 +84,12 @@ class Motor:
         above = self.temperature - WARM
         self.resistance = q.resistance * (1 + COPPER * above)
         self.kt = q.kt * (1 - MAGNET * above)
-        drawn = np.abs(duty * self.current).sum(axis=1, keepdims=True)
-        self.supply = np.maximum(q.supply - q.supply_resistance * drawn, 1.0)
+        self._sag(q, duty)
+
+    def _sag(self, q: SimpleNamespace, duty: Array) -> None:
+        """One Newton step to the voltage at which the supply gives what the motors' bridges draw; none flows back."""
+        drawn = duty * self.current
+        follows = np.where((drawn > 0) & (np.abs(self.current) < q.current_limit), duty**2 / self.resistance, 0.0)
+        off = self.supply - q.supply + q.supply_resistance * np.maximum(drawn, 0.0).sum(axis=1, keepdims=True)
+        slope = 1.0 + q.supply_resistance * follows.sum(axis=1, keepdims=True)
+        self.supply = np.clip(self.supply - off / slope, 1.0, q.supply)

@@ -6,6 +6,7 @@ which the limit on the duty does not touch.
 """
 
 import mujoco
+import numpy as np
 
 from labyrinth_sim.effect import Drive, Parameter, Values
 from labyrinth_sim.live import Fields, Live
@@ -36,10 +37,11 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     fields["actuator_biasprm"][:, emf, 2] = -(values["torque_constant"] ** 2) / values["resistance"]
 
 
-def supply(live: Live, site: Site, factor: Array) -> None:
+def supply(live: Live, site: Site, factor: Array, speed: Array) -> None:
+    """Less voltage; back-EMF is in the actuator already."""
     live["actuator_gainprm"][:, site.actuator, 0] *= factor
     live["actuator_biasprm"][:, site.actuator, 1] *= factor
-    scale_torque(live, site, factor)
+    scale_torque(live, site, factor, np.zeros_like(speed))
 
 
 DRIVE = Drive(

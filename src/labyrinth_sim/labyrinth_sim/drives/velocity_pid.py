@@ -15,9 +15,10 @@ FASTEST = 1e4  # rad/s; far beyond, the torque is saturated anyway, and MuJoCo t
 
 
 class VelocityPid:
-    """Equation 8, `v_n = P e_n + I sum(e_k dt_k) + D (e_n - e_{n-1})`, at any step.
+    """Equation 8, `v_n = P e_n + I sum(e_k dt_k) + D (e_n - e_{n-1})`: I and D at each sample, P at each MuJoCo step.
 
-    D is meant for 10 ms; at another step the difference is scaled, so that the damping stays the same.
+    P is MuJoCo's own, for a servo's loop is ten times faster than commands come. D is meant for 10 ms; at another
+    sample the difference is scaled, so that the damping stays the same.
     """
 
     def __init__(self, values: Values, step: float) -> None:
@@ -26,12 +27,16 @@ class VelocityPid:
         self.step = step
         self.sum = np.zeros_like(self.p)
         self.last = np.zeros_like(self.p)
+        self.sampled = np.zeros_like(self.p)
 
-    def __call__(self, error: Array) -> Array:
+    def sample(self, error: Array) -> None:
         self.sum = self.sum + error * self.step
-        speed = self.p * error + self.i * self.sum + self.d * (error - self.last)
+        speed = self.i * self.sum + self.d * (error - self.last)
+        self.sampled = np.maximum(np.minimum(speed, FASTEST), -FASTEST)
         self.last = error
-        return np.maximum(np.minimum(speed, FASTEST), -FASTEST)
+
+    def __call__(self, target: Array) -> Array:
+        return self.p * target + self.sampled
 
     def restart(self, which: Array) -> None:
         self.sum = np.where(which, 0.0, self.sum)
@@ -46,6 +51,7 @@ def spec(spec: mujoco.MjSpec, site: Site) -> None:
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
     fields["actuator_gainprm"][:, site.actuator, 0] = values["speed_gain"]
+    fields["actuator_biasprm"][:, site.actuator, 1] = -values["speed_gain"] * values["p"]
     fields["actuator_biasprm"][:, site.actuator, 2] = -values["speed_gain"]
     set_torque(fields, site, values["torque"])
 
