@@ -21,7 +21,7 @@ class Calibration:
     seeds: of the emulated rigs on which these were chosen; no reported figure uses them.
     """
 
-    gate: float = 1.0
+    gate: float = 1.1
     left_over: float = 0.1
     second: float = 0.4
     odd: float = 0.97
