@@ -24,6 +24,11 @@ class Output:
     complaints: tuple[str, ...]
 
 
+def spare_threads() -> int:
+    """Threads that leave a core to nodes which run beside: where one of two waits for its turn, both wait."""
+    return max(1, (os.cpu_count() or 1) - 1)
+
+
 def run_command(
     arguments: Sequence[str], tell: Callable[[dict[str, Any]], None], stopped: Callable[[], bool]
 ) -> Output:

@@ -3,7 +3,7 @@
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from eps_tunnel_analysis.cli.diagnosing import write_diagnosis
 from eps_tunnel_analysis.cli.folder import new_folder
 from eps_tunnel_analysis.cli.main import parser
 from eps_tunnel_analysis.cli.plays import load_recorded
+from eps_tunnel_analysis.command_process import spare_threads
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
 from labyrinth_sim.model import Model
 
@@ -37,12 +38,12 @@ class Search:
 
     Attributes:
         candidates: names of effects to consider; None for the whole library.
-        threads: of this machine; 0 for all.
+        threads: of this machine; 0 for all. By default a core is left to the nodes.
     """
 
     candidates: tuple[str, ...] | None = None
     seed: int = 0
-    threads: int = 0
+    threads: int = field(default_factory=spare_threads)
 
 
 def find_reason(

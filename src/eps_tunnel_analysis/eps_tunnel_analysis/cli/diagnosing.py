@@ -28,7 +28,9 @@ def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
     """--known, --held-out, --seed, --threads, --progress."""
     add_known_arguments(parser)
     parser.add_argument("--seed", type=int, default=0, help="kept with the result (default: %(default)s)")
-    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of this machine (default: all)")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="of this machine (default: all, beside nodes all but one)"
+    )
     parser.add_argument("--progress", choices=("bar", "lines"), default="bar",
                         help="on stderr: a bar, or lines of JSON for programs (default: %(default)s)")  # fmt: skip
 
