@@ -60,7 +60,8 @@ DRIVE = Drive(
     name="velocity_pid",
     title="Speed servo under a PID law on the angle",
     physics="The servo turns at the speed that a PID law on the angle's error asks for, as far as its torque suffices.",
-    equation="v_n = P e_n + I sum(e_k dt_k) + D (e_n - e_{n-1}); torque = clip(G (v_n - speed), -M, M)",
+    equation="v = P e + I sum(e_k dt_k) + D (e_n - e_{n-1}), sum and difference of samples; "
+    "torque = clip(G (v - speed), -M, M)",
     parameters=(
         Parameter("p", "1/s", -25.0, 25.0, None, 1.0, "the paper's search range"),
         Parameter("i", "1/s^2", -20.0, 20.0, None, 0.0, "the paper's search range"),
