@@ -169,6 +169,8 @@ def test_a_rig_that_fails_is_written_down(tmp_path: Path) -> None:
             "It was found; named besides: gain error",
         ),
         ("x", True, ["backlash.x"], "undecided", ["none", "gain_error.y"], "It was found; whether that is all"),
+        ("x", True, [], "undecided", ["backlash.x + gain_error.y", "unknown"], "It was found; whether that is all"),
+        ("x", True, [], "undecided", ["gain_error.y", "unknown"], "That was not found."),
     ],
 )
 def test_a_verdict_is_judged_by_what_was_hidden(

@@ -42,4 +42,7 @@ def judged(hidden: Sequence[Mapping[str, Any]], effects: Sequence[str], ending: 
         return f"It was found; named besides: {more}." if more else "It was found; whether that is all is not decided."
     if ending == "undecided" and true in stated:
         return f"It is one of the {len(stated)} hypotheses that these recordings leave."
+    naming = [set(name.split(" + ")) for name in stated if name not in (NONE, UNKNOWN)]
+    if ending == "undecided" and naming and all(hid <= names for names in naming):
+        return "It was found; whether that is all is not decided."
     return "That was not found."
