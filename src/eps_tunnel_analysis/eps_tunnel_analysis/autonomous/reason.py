@@ -3,7 +3,7 @@
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +38,12 @@ class Search:
 
     Attributes:
         candidates: names of effects to consider; None for the whole library.
-        threads: of this machine; 0 for all. By default a core is left to the nodes.
+        threads: of this machine; 0 leaves a core to the nodes.
     """
 
     candidates: tuple[str, ...] | None = None
     seed: int = 0
-    threads: int = field(default_factory=spare_threads)
+    threads: int = 0
 
 
 def find_reason(
@@ -68,9 +68,8 @@ def find_reason(
     arguments = _arguments(model, played, folder)
     recorded = load_recorded(arguments, efforts=True)
     recorded = replace(recorded, model=within(recorded.model, limit) if limit else recorded.model)
-    found = diagnose(
-        recorded.model, recorded.plays, search.seed, search.candidates, search.threads, told, once=once
-    )  # fmt: skip
+    threads = search.threads or spare_threads()
+    found = diagnose(recorded.model, recorded.plays, search.seed, search.candidates, threads, told, once=once)
     with new_folder(folder) as partial:
         content = write_diagnosis(partial, found, recorded, arguments)
     return Reason(found, content, folder)

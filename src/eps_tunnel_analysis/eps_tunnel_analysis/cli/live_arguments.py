@@ -7,7 +7,6 @@ import sys
 
 from eps_tunnel_analysis.cli.folder import refuse_existing
 from eps_tunnel_analysis.cli.tables import console
-from eps_tunnel_analysis.command_process import spare_threads
 from labyrinth_sim.errors import InputError, unknown_name
 
 FAILED = 1
@@ -55,7 +54,7 @@ def improve_live(arguments: argparse.Namespace) -> int:
     candidates = tuple(arguments.candidates) if arguments.candidates else None
     plan = Plan(
         arguments.model, arguments.sequence, arguments.trials, arguments.most_steps,
-        search=Search(candidates, arguments.seed, arguments.threads or spare_threads()),
+        search=Search(candidates, arguments.seed, arguments.threads),
     )  # fmt: skip
     out = console(stderr=arguments.json)
     try:
