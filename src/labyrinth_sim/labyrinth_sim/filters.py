@@ -23,13 +23,18 @@ class Delay:
     """y(t) = u(t - delay), linear between the two samples around t - delay.
 
     Samples before the first are `start` (nsim,). Where either neighbour is NaN (drive off) the nearer one counts.
+
+    Args:
+        smooth: take a parabola, through one sample further back too: for what moves smoothly, as a measured angle does,
+            and not for commands, which are held between samples.
     """
 
-    def __init__(self, delay: Array, step: float, start: Array) -> None:
+    def __init__(self, delay: Array, step: float, start: Array, smooth: bool = False) -> None:
         whole = np.floor(delay / step + 1e-9)
         self.back = whole.astype(int)[:, None]
         self.part = np.maximum(delay / step - whole, 0.0)[:, None]
-        self.past = np.repeat(np.asarray(start, float)[:, None], int(self.back.max(initial=0)) + 1, axis=1)
+        self.past = np.repeat(np.asarray(start, float)[:, None], int(self.back.max(initial=0)) + 2, axis=1)
+        self.bent = 0.5 * self.part * (self.part - 1.0) if smooth else None
 
     def __call__(self, own: Array, every: Array) -> Array:
         depth = self.past.shape[1]
@@ -38,29 +43,42 @@ class Delay:
         newer = np.take_along_axis(stream, here, axis=1)
         older = np.take_along_axis(stream, here - 1, axis=1)
         self.past = stream[:, -depth:]
-        mixed = np.where(self.part == 0.0, newer, (1.0 - self.part) * newer + self.part * older)
+        mixed = (1.0 - self.part) * newer + self.part * older
+        if self.bent is not None:
+            oldest = np.take_along_axis(stream, here - 2, axis=1)
+            mixed += np.nan_to_num(self.bent * (newer - 2.0 * older + oldest))
+        mixed = np.where(self.part == 0.0, newer, mixed)
         return np.where(np.isnan(mixed), np.where(self.part < 0.5, newer, older), mixed)
 
 
 class Lag:
-    """First-order lag: tau y' + y = u, exact for u that goes straight between samples. NaN passes and restarts it."""
+    """First-order lag: tau y' + y = u, exact for u that goes on parabolas. NaN passes and restarts it.
+
+    Between two samples u is taken to bend as it did over the last three.
+    """
 
     def __init__(self, time_constant: Array, step: float) -> None:
         self._none = time_constant <= 0
-        tau = np.maximum(time_constant, 1e-12)
-        self._keep = np.exp(-step / tau)
-        self._trail = tau / step * -np.expm1(-step / tau)  # share of the last input's change that is behind
-        self._last: tuple[Array, Array] | None = None
+        self._steps = np.maximum(time_constant, 1e-12) / step
+        self._keep = np.exp(-1.0 / self._steps)
+        self._last: tuple[Array, Array, Array] | None = None
 
     def __call__(self, own: Array, every: Array) -> Array:
         out = np.empty_like(own)
-        before, last = (own[:, 0], own[:, 0]) if self._last is None else self._last
+        a = self._steps
+        none = np.full(len(own), np.nan)
+        first, before, last = (none, none, none) if self._last is None else self._last
         for k in range(own.shape[1]):
             now = own[:, k]
-            moved = now + self._keep * (last - before) - self._trail * (now - before)
+            rise = now - before
+            bend = np.nan_to_num(rise - (before - first))
+            # u - a u' + a^2 u'' solves the equation for a parabola; what differs from it dies away.
+            here = now - a * (rise + 0.5 * bend) + a**2 * bend
+            there = before - a * (rise - 0.5 * bend) + a**2 * bend
+            moved = here + self._keep * (last - there)
             last = np.where(self._none | np.isnan(moved), now, moved)
-            out[:, k], before = last, now
-        self._last = before.copy(), last  # the caller may fill `own` anew
+            out[:, k], first, before = last, before, now
+        self._last = first.copy(), before.copy(), last  # the caller may fill `own` anew
         return out
 
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from labyrinth_sim.filters import Lag
+from labyrinth_sim.filters import Delay, Lag
 
 STEP = 0.01  # s
 
@@ -39,3 +39,40 @@ def test_a_lag_in_parts_is_the_lag_of_the_whole() -> None:
     for k in range(0, 50, 10):
         block[...] = values[:, k : k + 10]  # as a live stepper does, which fills one block anew
         assert np.array_equal(parts(block, block), whole[:, k : k + 10])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.003, 0.0085, 0.02, 0.026])
+def test_a_measurement_filtered_or_late_is_that_of_a_parabola(late: float) -> None:
+    time = np.arange(60) * STEP
+    value = 40.0 * time**2 - 3.0 * time  # rad, bending as a quick step does
+    filtered = Lag(np.array([late]), STEP)(value[None], value[None])[0]
+    steady = value - late * (80.0 * time - 3.0) + late**2 * 80.0
+    assert np.abs(filtered - steady)[50:].max() < 1e-6  # of the radian; what is left of the start dies away
+    delayed = Delay(np.array([late]), STEP, np.zeros(1), smooth=True)(value[None], value[None])[0]
+    assert delayed[10:] == pytest.approx((40.0 * (time - late) ** 2 - 3.0 * (time - late))[10:], abs=1e-12)
+
+
+def test_a_late_command_is_the_mean_of_what_was_held() -> None:
+    held = np.concatenate([np.zeros((1, 5)), np.ones((1, 5))], axis=1)
+    seen = Delay(np.array([0.004]), STEP, np.zeros(1))(held, held)[0]
+    assert seen[4:7] == pytest.approx([0.0, 0.6, 1.0])
+
+
+def test_a_lost_sample_is_bridged_by_its_neighbour() -> None:
+    values = np.sin(np.arange(20.0))[None]
+    values[0, 9] = np.nan
+    late = Delay(np.array([0.004]), STEP, np.zeros(1), smooth=True)(values, values)[0]
+    assert np.isfinite(np.delete(late, 9)).all()
+    lagged = Lag(np.array([0.004]), STEP)(values, values)[0]
+    assert np.isfinite(np.delete(lagged, 9)).all()
+    assert np.isnan(lagged[9])
+
+
+def test_a_smooth_delay_in_parts_is_the_delay_of_the_whole() -> None:
+    values = np.random.default_rng(6).normal(size=(3, 40))
+    late = np.array([0.0, 0.004, 0.023])
+    whole = Delay(late, STEP, values[:, 0], smooth=True)(values, values)
+    parts = Delay(late, STEP, values[:, 0], smooth=True)
+    assert np.array_equal(
+        np.concatenate([parts(values[:, k : k + 10], values) for k in range(0, 40, 10)], axis=1), whole
+    )

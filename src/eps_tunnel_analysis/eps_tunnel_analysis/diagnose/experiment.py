@@ -3,8 +3,8 @@
 
 Hunter and Reiner (Technometrics 7, 1965) run what has the largest expected misfit between the rivals as fitted. But
 both are fitted to the new recording too, so what counts is the misfit that is left when each has adapted as far as the
-old recordings let it, to first order. And where several commands decide, the gentlest does: a harsh one shows also what
-the rest of the model lacks, which the old recordings could not tell.
+old recordings let it, to first order. And a command that jerks harder than any before shows also what the rest of the
+model lacks there, which the old recordings could not tell; it is chosen only where no gentler one decides.
 """
 
 import math
@@ -30,6 +30,7 @@ from labyrinth_sim.trials import Array
 RATE = 100.0  # Hz
 STEP = 0.005  # s, MuJoCo's
 ENOUGH = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood, at worst
+WORTH = 0.35  # the same, for a command no harsher than those recorded: there the model leaves no more than it did
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,10 @@ class _Rival:
 def next_experiment(
     axes: Sequence[AxisDiagnosis], model: Model, stated: Sequence[str], floor: bool = True
 ) -> Experiment | None:
-    """The gentlest command after which the rivals of the stated set differ enough; if none, where they differ most.
+    """The command after which the rivals of the stated set would still differ.
+
+    Of those that jerk no harder than what was recorded: the gentlest where they differ enough, else where they differ
+    most, if that is worth a play. Else the gentlest of all where they differ enough; else where they differ most.
 
     Where the only rival of an effect is something unknown, the one that shows most of the effect; None where there is
     neither.
@@ -102,7 +106,7 @@ def next_experiment(
     named = "the noise floor" if floor else "what is left"
     found = [(axis, _rivals(axis, stated)) for axis in axes]
     alone = all(len(rivals) < 2 for _, rivals in found) and UNKNOWN in stated
-    offers: list[tuple[Experiment, float]] = []
+    offers: list[tuple[Experiment, _Harsh]] = []
     for axis, refits in found:
         if alone and refits and refits[0].effects:
             refits = [refits[0], axis.base]
@@ -110,9 +114,10 @@ def next_experiment(
             continue
         rivals = [_rival(axis, refit) for refit in refits]
         told = " and ".join(sorted(r.name for r in rivals))
+        known = _harshest(axis, rivals[0].points[0])
         start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
         for name, command in menu(model, axis.part.axis).items():
-            answers, harsh = _answers(axis, rivals, command, 1.0 if floor else math.sqrt(axis.best.overall))
+            answers, harsh = _answers(axis, rivals, command, 1.0 if floor else math.sqrt(axis.best.overall), known)
             apart = weight = 0.0
             for i, j in permutations(range(len(rivals)), 2):
                 both = max(rivals[i].probability * rivals[j].probability, LEAST)
@@ -120,11 +125,48 @@ def next_experiment(
                 weight += both
             size = math.sqrt(apart / weight)
             reason = f"{start} by {size:.1f} times {named} here, once each is fitted to it."
-            offers.append((Experiment(name, command, tuple(r.name for r in rivals), size, reason), harsh))
-    deciding = [offer for offer in offers if offer[0].misfit >= ENOUGH]
-    if deciding:
-        return min(deciding, key=lambda offer: offer[1])[0]
-    return max((e for e, _ in offers), key=lambda e: e.misfit, default=None)
+            offer = Experiment(name, command, tuple(r.name for r in rivals), size, reason)
+            offers.append((offer, harsh))
+    return _chosen(offers)
+
+
+def _chosen(offers: Sequence[tuple[Experiment, "_Harsh"]]) -> Experiment | None:
+    deciding = [(o, harsh) for o, harsh in offers if o.misfit >= ENOUGH]
+    tested = [(o, harsh) for o, harsh in offers if harsh.tested and o.misfit >= WORTH]
+    gentle = [(o, harsh) for o, harsh in tested if o.misfit >= ENOUGH]
+    if gentle or (deciding and not tested):
+        return min(gentle or deciding, key=lambda offer: offer[1].acceleration)[0]
+    return max((o for o, _ in tested or offers), key=lambda o: o.misfit, default=None)
+
+
+@dataclass(frozen=True)
+class _Harsh:
+    """How hard a command moves the joints: root mean square acceleration, rad/s^2; and whether it jerks no harder than
+    what was recorded.
+    """
+
+    acceleration: float
+    tested: bool
+
+
+def _harshest(axis: AxisDiagnosis, values: Array) -> float:
+    """Root mean square jerk of the harshest play so far, rad/s^3, as simulated with these values (K,)."""
+    search = axis.search
+    rolls, model = search.objective.rollouts, search.library.model
+    played = simulate_batch(
+        model, search.library.names, values[None], rolls.time, rolls.commands, {}, signals=_positions(model),
+        timestep=STEP,
+    )  # fmt: skip
+    return max(_harshness(angles, rolls.time, 3) for angles in played.values[0])
+
+
+def _positions(model: Model) -> tuple[str, ...]:
+    return tuple(m.signal for m in model.rig.measured if m.quantity == "position")
+
+
+def _harshness(angles: Array, time: Array, order: int) -> float:
+    """Root mean square of a derivative of angles (T, m) rad: 2 for the acceleration, 3 for the jerk."""
+    return float(np.sqrt(np.nanmean(np.diff(angles, order, axis=0) ** 2))) / float(time[1] - time[0]) ** order
 
 
 def _rivals(axis: AxisDiagnosis, stated: Sequence[str]) -> list[Refit]:
@@ -147,21 +189,23 @@ def _rival(axis: AxisDiagnosis, refit: Refit) -> _Rival:
     return _Rival(name, axis.probabilities.get(name, 0.0), points, slopes)
 
 
-def _answers(axis: AxisDiagnosis, rivals: Sequence[_Rival], command: Command, unit: float) -> tuple[list[Array], float]:
+def _answers(
+    axis: AxisDiagnosis, rivals: Sequence[_Rival], command: Command, unit: float, known: float
+) -> tuple[list[Array], _Harsh]:
     """(1 + k, n) for each rival: the compared samples of its roll-outs, in units of the floor, each of weight 1 / n.
 
-    And how harsh the command is: root mean square acceleration, rad/s^2, of all joints.
+    And how harsh the command is, `known` being the largest jerk recorded, rad/s^3.
     """
     search, signals = axis.search, axis.part.signals
     floors = [unit * float(np.median(search.scale[search.signal == i])) for i in range(len(signals))]
     time, targets = command.sample(RATE)
     table = np.vstack([r.points for r in rivals])
     model = search.library.model
-    positions = tuple(m.signal for m in model.rig.measured if m.quantity == "position")
+    positions = _positions(model)
     every = (*signals, *(name for name in positions if name not in signals))
     result = simulate_batch(model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP)
-    bends = np.diff(result.values[0, 0][:, [every.index(name) for name in positions]], 2, axis=0)
-    harsh = float(np.sqrt(np.nanmean(bends**2))) / (time[1] - time[0]) ** 2
+    angles = result.values[0, 0][:, [every.index(name) for name in positions]]
+    harsh = _Harsh(_harshness(angles, time, 2), _harshness(angles, time, 3) <= known)
     late = time - time[0] >= SETTLED
     channel = model.rig.command_channels.index(model.rig.axis(axis.part.axis).command)
     calm = late & is_steady(targets[:, channel], time[1] - time[0])

@@ -8,7 +8,7 @@ from labyrinth_sim.trials import Array
 
 
 def measure(values: Values, site: Site, step: float, start: Array) -> Delay | None:
-    return Delay(values["delay"], step, start) if values["delay"].any() else None
+    return Delay(values["delay"], step, start, smooth=True) if values["delay"].any() else None
 
 
 EFFECT = Effect(
