@@ -32,17 +32,18 @@ def spare_threads() -> int:
 def run_command(
     arguments: Sequence[str], tell: Callable[[dict[str, Any]], None], stopped: Callable[[], bool]
 ) -> Output:
-    """Runs `eps-tunnel ARGUMENTS`.
+    """Runs `eps-tunnel ARGUMENTS`, leaving a core to the nodes beside it; it prints JSON, and its progress by lines.
 
     Args:
-        arguments: those of the command line.
+        arguments: those of the command line, without threads and output.
         tell: called from another thread with every line of stderr that is a JSON object, as `--progress lines` prints
             them; a KeyError or TypeError in it makes the line a complaint.
         stopped: asked now and then; once true the command is interrupted as by Ctrl-C.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    every = [*arguments, "--threads", str(spare_threads()), "--json", "--progress", "lines"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "eps_tunnel_analysis.cli", *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        [sys.executable, "-m", "eps_tunnel_analysis.cli", *every], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
     )  # fmt: skip
     complaints: list[str] = []

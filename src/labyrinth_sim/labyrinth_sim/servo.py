@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drives have in common: a torque up to a limit that follows the supply, and a target that comes late."""
+"""What the drives have in common: a torque limit that follows the supply; targets in whole ticks that come late."""
 
 import mujoco
 import numpy as np
 
-from labyrinth_sim.effect import Values
-from labyrinth_sim.filters import Delay
+from labyrinth_sim.effect import Parameter, Values
+from labyrinth_sim.filters import Delay, rounded
 from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
@@ -36,6 +36,21 @@ def scale_torque(live: Live, site: Site, factor: Array, speed: Array) -> None:
     limits[:, 1] *= np.maximum(factor - speed, 0.0)
 
 
-def delay(values: Values, site: Site, step: float, start: Array) -> Delay | None:
-    """The filter of a target that comes late by the parameter `delay`, s; None where it never does."""
-    return Delay(values["delay"], step, start) if values["delay"].any() else None
+GOAL_TICK = Parameter("goal_tick", "rad", 0.0, 0.05, None, 0.0, "the goal register's, from its data sheet; 0 is none")
+
+
+class Target:
+    """The filter of a target that a servo takes in whole ticks, (nsim,) rad, and late."""
+
+    def __init__(self, tick: Array, delay: Delay | None) -> None:
+        self.tick, self.delay = tick, delay
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        goal = rounded(own, self.tick)
+        return self.delay(goal, every) if self.delay else goal
+
+
+def target(values: Values, site: Site, step: float, start: Array) -> Target | None:
+    """The filter by the parameters `goal_tick`, rad, and `delay`, s; None where both are 0."""
+    late = Delay(values["delay"], step, start) if values["delay"].any() else None
+    return Target(values["goal_tick"], late) if late or values["goal_tick"].any() else None

@@ -33,6 +33,18 @@ def test_a_servo_reaches_its_target(model: Model, commands: np.ndarray) -> None:
         assert trials.values[0, -1, trials.index(signal)] == pytest.approx(np.radians(2.5), abs=1e-3)
 
 
+@pytest.mark.parametrize("drive", ["labyrinth_mx64", "horn"])
+def test_goals_in_ticks_are_targets_rounded(drive: str) -> None:
+    given = load_model(drive)
+    ticks = [name for name in given.values() if name.endswith(".goal_tick")]
+    coarse, fine = (given.with_values(dict.fromkeys(ticks, tick)) for tick in (0.004, 0.0))
+    ramp = np.repeat(0.03 * np.sin(3.0 * TIME)[:, None], len(ticks), axis=1)
+    ramp[100:110] = np.nan
+    rounded = simulate(fine, TIME, np.round(ramp / 0.004) * 0.004)
+    assert np.array_equal(simulate(coarse, TIME, ramp).values, rounded.values)
+    assert not np.allclose(simulate(fine, TIME, ramp).values, rounded.values, atol=1e-4)
+
+
 def test_threads_do_not_change_a_bit(model: Model, commands: np.ndarray) -> None:
     rich = model.with_effect("load_friction", "x").with_effect("backlash", "y")
     values = np.linspace(5, 20, 7)[:, None]

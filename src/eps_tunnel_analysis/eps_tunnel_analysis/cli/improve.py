@@ -21,7 +21,7 @@ HELP = "Adds what is missing, step by step, until the model is complete or nothi
 EPILOG = """\
 examples:
   eps-tunnel improve --real bags/real_* --model labyrinth --out better
-  eps-tunnel improve --live --emulated --hide '?' --model labyrinth_manual --out notebook
+  eps-tunnel improve --live --emulated --hide '?' --model labyrinth_mx64 --out notebook
   eps-tunnel improve --live --arm --model my_rig --out notebook
 
 files in --out: step_1/, step_2/ ... with diagnosis.json, report.html and model.yaml each, and staircase.json;

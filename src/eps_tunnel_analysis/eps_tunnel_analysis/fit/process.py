@@ -39,12 +39,12 @@ def run_calibration(arguments: Sequence[str], tell: Callable[[Told], None], stop
     """Runs `eps-tunnel calibrate ARGUMENTS`.
 
     Args:
-        arguments: those of the command line, without --json and --progress.
+        arguments: those of the command line, without threads and output.
         tell: called as the fit goes on, from another thread.
         stopped: asked now and then; once true the fit is interrupted and keeps the best so far.
     """
     output = run_command(
-        ["calibrate", *arguments, "--json", "--progress", "lines"],
+        ["calibrate", *arguments],
         lambda told: tell(Told(told["evaluations"] / told["of"], told["best"], told["evaluations"])),
         stopped,
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eps_tunnel_analysis.command_process import run_command, spare_threads
+from eps_tunnel_analysis.command_process import run_command
 from eps_tunnel_analysis.monitor.parts import Verdict
 from labyrinth_sim.errors import InputError
 
@@ -77,11 +77,7 @@ class Work:
 
         content, complaint = None, ""
         try:
-            output = run_command(
-                [*arguments, "--threads", str(spare_threads()), "--json", "--progress", "lines"],
-                tell,
-                self._stop.is_set,
-            )
+            output = run_command(arguments, tell, self._stop.is_set)
             if self._stop.is_set():
                 complaint = "Stopped."
             elif output.code == 0:

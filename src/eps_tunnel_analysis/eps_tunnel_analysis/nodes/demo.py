@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--sequence", default="excite_12s", help="name or path of the sequence (default: %(default)s)")
     p.add_argument("--trials", type=_count, default=3, metavar="N",
                    help="how often it is played each time (default: %(default)s)")  # fmt: skip
-    p.add_argument("--model", default="labyrinth_manual", help="name or path of the model (default: %(default)s)")
+    p.add_argument("--model", default="labyrinth_mx64", help="name or path of the model (default: %(default)s)")
     p.add_argument(
         "--testbed", default="healthy", metavar="CONFIG", help="config/testbed/*.yaml (default: %(default)s)"
     )

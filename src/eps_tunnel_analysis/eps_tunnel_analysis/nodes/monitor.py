@@ -166,7 +166,7 @@ def parser() -> argparse.ArgumentParser:
     own = p.add_argument_group("with --emulated")
     own.add_argument("--hide", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]",
                      help="hide one more effect in the rig; ? draws one, told at the end")  # fmt: skip
-    own.add_argument("--sim", default="labyrinth_manual", metavar="M", help="model of the simulation (default: "
+    own.add_argument("--sim", default="labyrinth_mx64", metavar="M", help="model of the simulation (default: "
                      "%(default)s)")  # fmt: skip
     own.add_argument("--video", action="store_true", help="emulate the camera, too; takes most of a processor core")
     own.add_argument("--seed", type=int, default=1, help="of the rig's noise and of a draw (default: %(default)s)")

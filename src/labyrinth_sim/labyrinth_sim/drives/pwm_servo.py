@@ -10,7 +10,7 @@ import numpy as np
 
 from labyrinth_sim.effect import Drive, Parameter, Values
 from labyrinth_sim.live import Fields, Live
-from labyrinth_sim.servo import delay, limit_torque, scale_torque, set_torque
+from labyrinth_sim.servo import GOAL_TICK, limit_torque, scale_torque, set_torque, target
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
@@ -62,10 +62,11 @@ DRIVE = Drive(
             "torque_constant", "N m/A", 0.01, 10.0, None, 0.5, "behind the gear; stall torque over stall current"
         ),
         Parameter("delay", "s", 0.0, 0.05, None, 0.0, "bus and firmware"),
+        GOAL_TICK,
     ),
     spec=spec,
     fields=fields,
-    target=delay,
+    target=target,
     supply=supply,
     strength=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     free=("resistance", "torque_constant", "joint.armature", "delay"),

@@ -5,7 +5,7 @@ import mujoco
 
 from labyrinth_sim.effect import Drive, Parameter, Values
 from labyrinth_sim.live import Fields
-from labyrinth_sim.servo import delay, limit_torque, scale_torque, set_torque
+from labyrinth_sim.servo import GOAL_TICK, limit_torque, scale_torque, set_torque, target
 from labyrinth_sim.site import Site
 
 
@@ -33,10 +33,11 @@ DRIVE = Drive(
         Parameter("damping", "N m s/rad", 0.0, 20.0, None, 0.2, "up to more than critical for such servos"),
         Parameter("torque", "N m", 0.01, 20.0, None, 2.8, "stall torques of such servos"),
         Parameter("delay", "s", 0.0, 0.05, None, 0.0, "bus and firmware"),
+        GOAL_TICK,
     ),
     spec=spec,
     fields=fields,
-    target=delay,
+    target=target,
     supply=scale_torque,
     free=("stiffness", "damping", "delay"),
 )

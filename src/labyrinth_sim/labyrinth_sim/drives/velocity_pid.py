@@ -6,7 +6,7 @@ import numpy as np
 
 from labyrinth_sim.effect import Drive, Parameter, Values
 from labyrinth_sim.live import Fields
-from labyrinth_sim.servo import delay, limit_torque, scale_torque, set_torque
+from labyrinth_sim.servo import GOAL_TICK, limit_torque, scale_torque, set_torque, target
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
@@ -67,6 +67,7 @@ DRIVE = Drive(
         Parameter("i", "1/s^2", -20.0, 20.0, None, 0.0, "the paper's search range"),
         Parameter("d", "1/s", -20.0, 20.0, None, 0.0, "the paper's search range; at 10 ms a sample"),
         Parameter("delay", "s", 0.0, 0.05, None, 0.0, "the paper's search range"),
+        GOAL_TICK,
         Parameter(
             "speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff beside 0.01 kg m^2 of armature"
         ),
@@ -74,7 +75,7 @@ DRIVE = Drive(
     ),
     spec=spec,
     fields=fields,
-    target=delay,
+    target=target,
     controller=VelocityPid,
     supply=scale_torque,
     free=("p", "i", "d", "delay"),
