@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.candidates import library, starts
-from eps_tunnel_analysis.diagnose.experiment import Experiment, left_after_fit
+from eps_tunnel_analysis.diagnose.experiment import Experiment, Harsh, chosen, harshness, left_after_fit
 from eps_tunnel_analysis.diagnose.gate import complete, gate, unexplained
 from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.noise import noise_floor
@@ -215,3 +215,35 @@ def test_rivals_differ_by_what_neither_can_be_fitted_to() -> None:
     assert held == pytest.approx(np.sum((truth - rival) ** 2), rel=1e-3)
     aside = np.array([rival, rival + way])
     assert 0.0 < left_after_fit(truth, aside, np.zeros((20, 1))) < np.sum((truth - rival) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("offers", "taken"),
+    [
+        ({"chirp": (1.2, 9.0, True), "triangle": (1.1, 2.0, True), "steps": (8.0, 1.0, False)}, "triangle"),
+        ({"chirp": (0.5, 9.0, True), "triangle": (0.4, 2.0, True), "steps": (8.0, 1.0, False)}, "chirp"),
+        ({"chirp": (0.1, 9.0, True), "quick": (9.0, 30.0, False), "steps": (1.5, 12.0, False)}, "steps"),
+        ({"chirp": (0.1, 9.0, True), "steps": (0.6, 12.0, False)}, "steps"),
+        ({}, None),
+    ],
+)
+def test_a_command_beyond_what_was_recorded_is_chosen_only_where_no_other_decides(
+    offers: dict[str, tuple[float, float, bool]], taken: str | None
+) -> None:
+    command = next(iter(menu(load_model("labyrinth_manual"), "x").values()))
+    listed = [
+        (Experiment(name, command, ("a.x", "b.x"), misfit, ""), Harsh(acceleration, tested))
+        for name, (misfit, acceleration, tested) in offers.items()
+    ]
+    best = chosen(listed)
+    assert (best.name if best else None) == taken
+
+
+def test_how_harsh_a_motion_is_does_not_hang_on_how_often_it_was_sampled() -> None:
+    def jerk(rate: float) -> float:
+        time = np.arange(0.0, 4.0, 1.0 / rate)
+        return harshness(np.where(time < 2.0, 0.0, 0.1)[:, None], time, 3)
+
+    assert jerk(100.0) == pytest.approx(jerk(200.0), rel=0.01)
+    time = np.arange(0.0, 10.0, 0.01)
+    assert harshness(0.1 * np.sin(5.0 * time)[:, None], time, 2) == pytest.approx(0.1 * 25.0 / np.sqrt(2.0), rel=0.01)

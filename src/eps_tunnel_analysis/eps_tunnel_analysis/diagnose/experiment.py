@@ -78,6 +78,16 @@ def _entry(shape: Shape) -> dict[str, dict[str, float]]:
 
 
 @dataclass(frozen=True)
+class Harsh:
+    """How hard a command moves the joints: root mean square acceleration, rad/s^2; and whether it jerks no harder than
+    what was recorded.
+    """
+
+    acceleration: float
+    tested: bool
+
+
+@dataclass(frozen=True)
 class _Rival:
     """A hypothesis: its probability, (1 + k, K) values as fitted and with each fitted one moved a little, and (R, k)
     how the old residuals follow, each of them weighing 1 / R.
@@ -106,7 +116,7 @@ def next_experiment(
     named = "the noise floor" if floor else "what is left"
     found = [(axis, _rivals(axis, stated)) for axis in axes]
     alone = all(len(rivals) < 2 for _, rivals in found) and UNKNOWN in stated
-    offers: list[tuple[Experiment, _Harsh]] = []
+    offers: list[tuple[Experiment, Harsh]] = []
     for axis, refits in found:
         if alone and refits and refits[0].effects:
             refits = [refits[0], axis.base]
@@ -127,26 +137,17 @@ def next_experiment(
             reason = f"{start} by {size:.1f} times {named} here, once each is fitted to it."
             offer = Experiment(name, command, tuple(r.name for r in rivals), size, reason)
             offers.append((offer, harsh))
-    return _chosen(offers)
+    return chosen(offers)
 
 
-def _chosen(offers: Sequence[tuple[Experiment, "_Harsh"]]) -> Experiment | None:
+def chosen(offers: Sequence[tuple[Experiment, Harsh]]) -> Experiment | None:
+    """The offer that `next_experiment` takes."""
     deciding = [(o, harsh) for o, harsh in offers if o.misfit >= ENOUGH]
     tested = [(o, harsh) for o, harsh in offers if harsh.tested and o.misfit >= WORTH]
     gentle = [(o, harsh) for o, harsh in tested if o.misfit >= ENOUGH]
     if gentle or (deciding and not tested):
         return min(gentle or deciding, key=lambda offer: offer[1].acceleration)[0]
     return max((o for o, _ in tested or offers), key=lambda o: o.misfit, default=None)
-
-
-@dataclass(frozen=True)
-class _Harsh:
-    """How hard a command moves the joints: root mean square acceleration, rad/s^2; and whether it jerks no harder than
-    what was recorded.
-    """
-
-    acceleration: float
-    tested: bool
 
 
 def _harshest(axis: AxisDiagnosis, values: Array) -> float:
@@ -157,16 +158,21 @@ def _harshest(axis: AxisDiagnosis, values: Array) -> float:
         model, search.library.names, values[None], rolls.time, rolls.commands, {}, signals=_positions(model),
         timestep=STEP,
     )  # fmt: skip
-    return max(_harshness(angles, rolls.time, 3) for angles in played.values[0])
+    return max(harshness(angles, rolls.time, 3) for angles in played.values[0])
 
 
 def _positions(model: Model) -> tuple[str, ...]:
     return tuple(m.signal for m in model.rig.measured if m.quantity == "position")
 
 
-def _harshness(angles: Array, time: Array, order: int) -> float:
-    """Root mean square of a derivative of angles (T, m) rad: 2 for the acceleration, 3 for the jerk."""
-    return float(np.sqrt(np.nanmean(np.diff(angles, order, axis=0) ** 2))) / float(time[1] - time[0]) ** order
+def harshness(angles: Array, time: Array, order: int) -> float:
+    """Root mean square of a derivative of angles (T, m) rad: 2 for the acceleration, 3 for the jerk.
+
+    Of differences at RATE, for those of a step grow with the rate.
+    """
+    every = max(1, round(1.0 / (RATE * (time[1] - time[0]))))
+    step = every * float(time[1] - time[0])
+    return float(np.sqrt(np.nanmean(np.diff(angles[::every], order, axis=0) ** 2))) / step**order
 
 
 def _rivals(axis: AxisDiagnosis, stated: Sequence[str]) -> list[Refit]:
@@ -191,7 +197,7 @@ def _rival(axis: AxisDiagnosis, refit: Refit) -> _Rival:
 
 def _answers(
     axis: AxisDiagnosis, rivals: Sequence[_Rival], command: Command, unit: float, known: float
-) -> tuple[list[Array], _Harsh]:
+) -> tuple[list[Array], Harsh]:
     """(1 + k, n) for each rival: the compared samples of its roll-outs, in units of the floor, each of weight 1 / n.
 
     And how harsh the command is, `known` being the largest jerk recorded, rad/s^3.
@@ -205,7 +211,7 @@ def _answers(
     every = (*signals, *(name for name in positions if name not in signals))
     result = simulate_batch(model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP)
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
-    harsh = _Harsh(_harshness(angles, time, 2), _harshness(angles, time, 3) <= known)
+    harsh = Harsh(harshness(angles, time, 2), harshness(angles, time, 3) <= known)
     late = time - time[0] >= SETTLED
     channel = model.rig.command_channels.index(model.rig.axis(axis.part.axis).command)
     calm = late & is_steady(targets[:, channel], time[1] - time[0])
