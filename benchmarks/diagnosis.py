@@ -41,6 +41,7 @@ from labyrinth_sim.trials import Trials
 TRIALS = 5
 RATE = 100.0
 SIGNALS = ("motor_x", "motor_y", "board_x", "board_y", "motor_x_effort", "motor_y_effort")
+STALL = 6.0  # N m, the data sheet of the servo that the testbed emulates
 STRONG = 3.0  # times the noise floor, root mean square
 KINDS = {"single": 0.55, "pair": 0.15, "none": 0.15, "outside": 0.15}
 
@@ -64,6 +65,7 @@ def draw(seed: int) -> tuple[str, tuple[Hidden, ...], Model]:
         wrong[f"drive.{axis}.p"] = rng.uniform(15.0, 25.0)
         wrong[f"drive.{axis}.d"] = rng.uniform(-2.0, 2.0)
         wrong[f"drive.{axis}.delay"] = rng.uniform(0.01, 0.045)
+        wrong[f"drive.{axis}.torque"] = STALL * rng.uniform(0.9, 1.1)
     return kind, hidden, load_model("labyrinth_manual").with_values(wrong, "wrong on purpose")
 
 

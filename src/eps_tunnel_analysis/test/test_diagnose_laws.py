@@ -2,6 +2,7 @@
 """Laws of noise floor, gate, ranking, verdict and experiment that need no roll-out."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from eps_tunnel_analysis.diagnose.gate import complete, gate, unexplained
 from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.noise import noise_floor
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint, name_of, rank, smallest_set
-from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.refit import Refit
 from eps_tunnel_analysis.diagnose.verdict import decide, sentence
 from eps_tunnel_analysis.sequence_file import parse_sequence
 from labyrinth_sim.errors import InputError
@@ -224,16 +225,18 @@ def test_rivals_differ_by_what_neither_can_be_fitted_to() -> None:
         ({"chirp": (0.5, 9.0, True), "triangle": (0.4, 2.0, True), "steps": (8.0, 1.0, False)}, "chirp"),
         ({"chirp": (0.1, 9.0, True), "quick": (9.0, 30.0, False), "steps": (1.5, 12.0, False)}, "steps"),
         ({"chirp": (0.1, 9.0, True), "steps": (0.6, 12.0, False)}, "steps"),
+        ({"chirp": (0.5, 9.0, True), "triangle": (2.0, 2.0, True, True), "steps": (8.0, 1.0, False)}, "chirp"),
+        ({"triangle": (0.1, 2.0, True, True), "steps": (8.0, 1.0, False, True)}, "steps"),
         ({}, None),
     ],
 )
-def test_a_command_beyond_what_was_recorded_is_chosen_only_where_no_other_decides(
-    offers: dict[str, tuple[float, float, bool]], taken: str | None
+def test_a_command_beyond_what_was_recorded_or_into_a_stop_is_chosen_only_where_no_other_decides(
+    offers: dict[str, tuple[Any, ...]], taken: str | None
 ) -> None:
     command = next(iter(menu(load_model("labyrinth_manual"), "x").values()))
     listed = [
-        (Experiment(name, command, ("a.x", "b.x"), misfit, ""), Harsh(acceleration, tested))
-        for name, (misfit, acceleration, tested) in offers.items()
+        (Experiment(name, command, ("a.x", "b.x"), misfit, ""), Harsh(*harsh))
+        for name, (misfit, *harsh) in offers.items()
     ]
     best = chosen(listed)
     assert (best.name if best else None) == taken

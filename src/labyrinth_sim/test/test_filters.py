@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from labyrinth_sim.filters import Delay, Lag
+from labyrinth_sim.filters import Delay, Lag, dithered, rounded
 
 STEP = 0.01  # s
 
@@ -76,3 +76,20 @@ def test_a_smooth_delay_in_parts_is_the_delay_of_the_whole() -> None:
     assert np.array_equal(
         np.concatenate([parts(values[:, k : k + 10], values) for k in range(0, 40, 10)], axis=1), whole
     )
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.2, 0.45])
+def test_rounding_beneath_noise_is_what_many_noisy_trials_average_to(noise: float) -> None:
+    angles = np.linspace(-3.0, 3.0, 61)
+    drawn = angles + noise * np.random.default_rng(7).standard_normal((20_000, 1))
+    found = dithered(2.0 * angles[None], np.array([2.0]), np.array([2.0 * noise]))[0]
+    assert found == pytest.approx(2.0 * np.round(drawn).mean(axis=0), abs=0.03)
+
+
+def test_rounding_without_noise_is_rounding_and_without_ticks_nothing() -> None:
+    angles = np.random.default_rng(8).normal(size=(3, 40))
+    ticks = np.array([0.0, 0.1, 0.3])
+    assert np.array_equal(dithered(angles, ticks, np.zeros(3)), rounded(angles, ticks))
+    soft = dithered(angles, ticks, np.full(3, 0.05))
+    assert np.array_equal(soft[0], angles[0])
+    assert np.abs(soft - angles).max() < 0.15 + 1e-12

@@ -10,7 +10,8 @@ from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_se
 from eps_tunnel_analysis.diagnose.ball import BALL, part_name, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import Progress, compared, errors_of, is_moved
-from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.refit import Refit
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.verdict import Errors
 from eps_tunnel_analysis.plays import Play
 from labyrinth_sim.effect import effects as library_effects

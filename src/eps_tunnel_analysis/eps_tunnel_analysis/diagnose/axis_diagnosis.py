@@ -19,8 +19,9 @@ from eps_tunnel_analysis.diagnose.ball import part_name
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.gate import allowed, gate
 from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, penalty, rank
+from eps_tunnel_analysis.diagnose.refit import Refit
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
-from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.plays import Play
 from labyrinth_sim.model import Model
 

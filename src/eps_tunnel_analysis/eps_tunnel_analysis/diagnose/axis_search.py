@@ -12,9 +12,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.ball import BALL, ROUGH, inexactness, on_ball, values_of
-from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
+from eps_tunnel_analysis.diagnose.candidates import Library, library
+from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit
 from eps_tunnel_analysis.diagnose.samples import begun, floors, kept_samples, steady_efforts
-from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Look, Refit, Search
+from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Search
 from eps_tunnel_analysis.fit.free import by_axis, default_free
 from eps_tunnel_analysis.fit.objective import Objective
 from eps_tunnel_analysis.plays import Play
@@ -24,7 +25,8 @@ from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
 
 COARSE = 0.005  # s, MuJoCo's step while searching
-FINE = 0.0025  # s, while judging; finer changes nothing that shows
+FINE = 0.0025  # s, where that errs
+EXACT = 0.00125  # s, while judging; at 2.5 ms a torque that saturates in quick motion errs by half a floor
 BASE_LOOKS = 64  # values of the base tried before it is descended, and
 BASE_STARTS = 5  # how many of them are descended
 REBASED = 3  # refits whose base values are sought anew, each from
@@ -34,9 +36,6 @@ NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 SHORTLIST = 12  # candidates refitted from their looks
 LOOKS_EACH = 2
 ROUNDS = 6
-
-Job = tuple[tuple[Candidate, ...], Array]
-"""Candidates to fit together, and (K,) values to start from."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +96,9 @@ def axis_search(
         if candidate.name not in [c.name for c in mine]:
             whole = replace(whole, model=whole.model.without_effect(candidate.effect.name, candidate.place))
     lib = Library(whole.model, part.base, mine)
-    objective = Objective(lib.model, lib.names, plays, part.signals, timestep, nthread)
-    fine = Objective(lib.model, lib.names, plays, part.signals, FINE, nthread)
+    steps: dict[Level, float | None] = {"coarse": timestep, "fine": FINE, "exact": EXACT}
+    levels = {k: Objective(lib.model, lib.names, plays, part.signals, step, nthread) for k, step in steps.items()}
+    objective = levels["coarse"]
     torque = [m.signal for m in model.rig.measured if m.quantity == "torque"]
     channel = next((axis.command for axis in model.rig.axes if axis.name == part.axis), "")
     used = np.flatnonzero(~np.isin(objective.blocks % len(part.signals), efforts := _columns(part.signals, torque)))
@@ -110,7 +110,7 @@ def axis_search(
     if part.axis == BALL:
         scale = np.hypot(scale, inexactness(objective.samples * plays[0].trials.step))
     kept = kept_samples(objective, plays)
-    return Search(lib, objective, fine, scale, kept, used, told, ROUGH if part.axis == BALL else DIFFERENCE)
+    return Search(lib, levels, scale, kept, used, told, ROUGH if part.axis == BALL else DIFFERENCE)
 
 
 def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
@@ -148,7 +148,7 @@ def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit
     early = search.refit([((), point) for point in starts], max(1, rounds // 2))
     lowest = min(early, key=lambda r: r.cost)
     coarse = search.refit([((), lowest.values)], rounds)[0]
-    found = search.refit([((), coarse.values)], rounds, fine=True)[0]
+    found = search.judged([((), coarse.values)], rounds)[0]
     search.settle_at(found)
     return found
 

@@ -17,7 +17,7 @@ from labyrinth_sim.trials import Array
 
 FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
 LIMITS = 7  # values of a limit, as of a torque's
-TICKS = 48
+TICKS = 128  # 2.7 % apart, for the valley of a tick is some 4 % wide
 BALL_VALUES = 25
 
 
@@ -113,7 +113,9 @@ def starts(candidate: Candidate) -> Array:
     """
     declared = candidate.effect.parameters
     if is_tick(candidate):  # rounding fits at one value and hardly beside it
-        return np.geomspace(0.1 * declared[0].typical, 3.0 * declared[0].typical, TICKS)[:, None]
+        ticks = np.tile([p.typical for p in declared], (TICKS, 1))
+        ticks[:, 0] *= np.geomspace(0.1, 3.0, TICKS)
+        return ticks
     if not candidate.axes and len(declared) == 1:  # of the ball: walls make the misfit rough
         spread = np.linspace(declared[0].low, declared[0].high, BALL_VALUES)[:, None]
         return spread[spread[:, 0] != declared[0].off]
@@ -132,9 +134,9 @@ def starts(candidate: Candidate) -> Array:
 
 
 def is_tick(candidate: Candidate) -> bool:
-    """Whether it rounds to ticks: its misfit has no slope over the tick."""
+    """Whether it rounds to ticks, its first value: its misfit has no slope over the tick."""
     declared = candidate.effect.parameters
-    return len(declared) == 1 and declared[0].name == "tick"
+    return declared[0].name == "tick"
 
 
 def _ladders(switching: Sequence[Parameter]) -> Iterator[Array]:

@@ -14,8 +14,8 @@ from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ba
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
+from eps_tunnel_analysis.diagnose.refit import Refit
 from eps_tunnel_analysis.diagnose.samples import kept_of
-from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
 from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.rollout import roll_out

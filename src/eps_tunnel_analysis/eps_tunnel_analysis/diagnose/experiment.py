@@ -4,7 +4,8 @@
 Hunter and Reiner (Technometrics 7, 1965) run what has the largest expected misfit between the rivals as fitted. But
 both are fitted to the new recording too, so what counts is the misfit that is left when each has adapted as far as the
 old recordings let it, to first order. And a command that jerks harder than any before shows also what the rest of the
-model lacks there, which the old recordings could not tell; it is chosen only where no gentler one decides.
+model lacks there, which the old recordings could not tell; it is chosen only where no gentler one decides. One that
+runs into a stop, by any of the rivals, shows the stop instead.
 """
 
 import math
@@ -18,8 +19,8 @@ import yaml
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.rank import LEAST, NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.refit import Refit
 from eps_tunnel_analysis.diagnose.samples import SETTLED, is_steady
-from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import SUFFIXES
 from eps_tunnel_analysis.sequence_shapes import Shape
@@ -28,8 +29,9 @@ from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
 RATE = 100.0  # Hz
-STEP = 0.005  # s, MuJoCo's
+STEP = 0.0025  # s, MuJoCo's
 ENOUGH = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood, at worst
+STOP = 0.98  # of an axis's range, beyond which it is at its stop
 WORTH = 0.35  # the same, for a command no harsher than those recorded: there the model leaves no more than it did
 
 
@@ -79,12 +81,13 @@ def _entry(shape: Shape) -> dict[str, dict[str, float]]:
 
 @dataclass(frozen=True)
 class Harsh:
-    """How hard a command moves the joints: root mean square acceleration, rad/s^2; and whether it jerks no harder than
-    what was recorded.
+    """How hard a command moves the joints: root mean square acceleration, rad/s^2; whether it jerks no harder than what
+    was recorded; and whether it runs into a stop.
     """
 
     acceleration: float
     tested: bool
+    stopped: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,8 +107,9 @@ def next_experiment(
 ) -> Experiment | None:
     """The command after which the rivals of the stated set would still differ.
 
-    Of those that jerk no harder than what was recorded: the gentlest where they differ enough, else where they differ
-    most, if that is worth a play. Else the gentlest of all where they differ enough; else where they differ most.
+    Of those that keep off the stops and jerk no harder than what was recorded: the gentlest where they differ enough,
+    else where they differ most, if that is worth a play. Else the gentlest of all where they differ enough; else where
+    they differ most.
 
     Where the only rival of an effect is something unknown, the one that shows most of the effect; None where there is
     neither.
@@ -142,6 +146,7 @@ def next_experiment(
 
 def chosen(offers: Sequence[tuple[Experiment, Harsh]]) -> Experiment | None:
     """The offer that `next_experiment` takes."""
+    offers = [(o, harsh) for o, harsh in offers if not harsh.stopped] or offers
     deciding = [(o, harsh) for o, harsh in offers if o.misfit >= ENOUGH]
     tested = [(o, harsh) for o, harsh in offers if harsh.tested and o.misfit >= WORTH]
     gentle = [(o, harsh) for o, harsh in tested if o.misfit >= ENOUGH]
@@ -211,7 +216,11 @@ def _answers(
     every = (*signals, *(name for name in positions if name not in signals))
     result = simulate_batch(model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP)
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
-    harsh = Harsh(harshness(angles, time, 2), harshness(angles, time, 3) <= known)
+    mine = model.rig.axis(axis.part.axis)
+    moved = result.values[:, 0][:, :, [every.index(m.signal) for m in mine.measured if m.quantity == "position"]]
+    low, high = (STOP * limit for limit in mine.limits)
+    stopped = bool(np.nanmin(moved) < low or np.nanmax(moved) > high)
+    harsh = Harsh(harshness(angles, time, 2), harshness(angles, time, 3) <= known, stopped)
     late = time - time[0] >= SETTLED
     channel = model.rig.command_channels.index(model.rig.axis(axis.part.axis).command)
     calm = late & is_steady(targets[:, channel], time[1] - time[0])

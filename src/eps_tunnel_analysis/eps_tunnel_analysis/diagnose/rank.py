@@ -14,7 +14,7 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.gate import complete, unexplained
-from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.refit import Refit
 
 NONE, UNKNOWN = "none", "unknown"
 LEAST = 1e-4  # probabilities below are not listed

@@ -5,13 +5,14 @@ First a look at many values of every candidate: one roll-out each, judged after 
 compensate to first order. Then a descent of the base values and the candidate's together, from its best looks.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, starts
+from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit, best_by_set, mean_square
 from eps_tunnel_analysis.fit.lockstep import descend
 from eps_tunnel_analysis.fit.objective import Objective
 from labyrinth_sim.trials import Array
@@ -22,54 +23,22 @@ AT_ONCE = 256  # roll-outs of one batch while looking
 FEW_STARTS = 20
 LOOK_STEP = 3  # rounds after which the hopeless are given up
 SCAN = 24  # values tried around a tick
+LEAST_JUDGED = 2
+OUT_OF_REACH = 10.0  # times the best cost: no exact step brings that down
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
+PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
-
-
-@dataclass(frozen=True)
-class Refit:
-    """A set of effects refitted together with the base values.
-
-    Attributes:
-        effects: candidate names, in the order in which they were added; empty for the base alone.
-        values: (K,) of all of the library's values, in their units.
-        residuals: (R,) in units of the noise floor.
-        cost: mean square of the residuals on the fitted samples.
-        held_out: the same on the samples kept back.
-        overall: the same on all.
-        free: how many values were fitted.
-        converged: the descent came to rest.
-    """
-
-    effects: tuple[str, ...]
-    values: Array
-    residuals: Array
-    cost: float
-    held_out: float
-    overall: float
-    free: int
-    converged: bool
-
-
-@dataclass(frozen=True)
-class Look:
-    """A candidate at (K,) values, and the cost promised: with as much of its change as helps, to first order.
-
-    `on` counts the refits on top of which it was looked for.
-    """
-
-    candidate: Candidate
-    values: Array
-    promised: float
-    on: int = 0
+ROUGH = (
+    0.5  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
+)
 
 
 class Search:
     """Roll-outs of a library of candidates, in units of the noise floor.
 
     Args:
-        objective: over the library's model and all of its names, at a coarse step.
-        fine: the same at the rig's own step: refits are judged by it.
+        levels: over the library's model and all of its names, at three of MuJoCo's steps: the coarse one searches, the
+            fine one takes over where that errs, and by the exact one refits are judged.
         scale: (n,) the noise floor at each of the objective's samples.
         kept: (objective's samples,) not fitted; candidates are judged on them.
         used: (n,) which of the objective's samples are compared, R of them; None for all.
@@ -80,15 +49,15 @@ class Search:
     def __init__(
         self,
         library: Library,
-        objective: Objective,
-        fine: Objective,
+        levels: Mapping[Level, Objective],
         scale: Array,
         kept: NDArray[np.bool_],
         used: NDArray[np.int64] | None = None,
         told: Callable[[int], None] | None = None,
         difference: float = DIFFERENCE,
     ) -> None:
-        self.library, self.objective, self.fine = library, objective, fine
+        self.library, self.levels = library, dict(levels)
+        objective = self.objective = levels["coarse"]
         self.used = np.arange(len(objective.mean)) if used is None else used
         self.kept = kept[self.used]
         infos = library.model.parameters()
@@ -103,16 +72,16 @@ class Search:
         self.told, self.difference = told, difference
         self._column = {name: i for i, name in enumerate(library.names)}
 
-    def residuals(self, values: Array, fine: bool = False) -> Array:
+    def residuals(self, values: Array, level: Level = "coarse") -> Array:
         """(n, K) values to (n, R) residuals in units of the noise floor."""
         self.evaluations += len(values)
-        found = (self.fine if fine else self.objective)(values)[:, self.used] / self.scale
+        found = self.levels[level](values)[:, self.used] / self.scale
         if self.told:
             self.told(self.evaluations)
-        return found if fine else found + self.shift
+        return found + self.shift if level == "coarse" else found
 
     def settle_at(self, refit: Refit) -> None:
-        """Corrects coarse roll-outs by what the fine step says at a refit."""
+        """Corrects coarse roll-outs by what the exact step says at a refit."""
         self.shift = self.shift + refit.residuals - self.residuals(refit.values[None])[0]
 
     def columns(self, candidate: Candidate) -> list[int]:
@@ -120,15 +89,21 @@ class Search:
         return [self._column[name] for name in candidate.parameters]
 
     def refit(
-        self, jobs: Sequence[tuple[tuple[Candidate, ...], Array]], rounds: int, fine: bool = False
+        self,
+        jobs: Sequence[Job],
+        rounds: int,
+        level: Level = "coarse",
+        shifts: Array | None = None,
     ) -> list[Refit]:
         """Descend jobs side by side, all of them to the end.
 
         Args:
             jobs: the candidates to fit together with the base values, and (K,) values to start from.
+            shifts: (jobs, R) added to each one's residuals.
         """
         if not jobs:
             return []
+        more = np.zeros((len(jobs), 1)) if shifts is None else shifts
         free = np.zeros((len(jobs), len(self.start)), dtype=bool)
         free[:, : len(self.library.base)] = True
         for row, (candidates, _) in enumerate(jobs):
@@ -138,12 +113,13 @@ class Search:
         fitted = ~self.kept
 
         def scaled(z: Array, owners: NDArray[np.int64]) -> Array:
-            return self.residuals(np.clip(self.low + z * span, self.low, self.high), fine)[:, fitted]
+            found = self.residuals(np.clip(self.low + z * span, self.low, self.high), level) + more[owners]
+            return found[:, fitted]
 
         z0 = (np.array([start for _, start in jobs]) - self.low) / span
         found = descend(scaled, z0, free, rounds, self.difference, TOLERANCE)
         values = np.clip(self.low + found.z * span, self.low, self.high)
-        whole = self.residuals(values, fine)
+        whole = self.residuals(values, level) + more
         return [
             Refit(
                 effects=tuple(c.name for c in candidates),
@@ -164,14 +140,47 @@ class Search:
         Args:
             keep: how many sets go on at least; beyond them only those within HOPELESS times the best.
         """
-        early = _best_by_set(self.refit(jobs, LOOK_STEP))
+        looked = self.refit(jobs, LOOK_STEP)
+        rough = self._rough(looked)
+        redone = self.refit([job for job, bad in zip(jobs, rough, strict=True) if bad], LOOK_STEP, "fine")
+        finer = {frozenset(r.effects) for r in redone}
+        early = best_by_set([*redone, *(r for r in looked if frozenset(r.effects) not in finer)])
         lowest = early[0].cost if early else np.inf
         going = [r for i, r in enumerate(early) if not r.converged and (i < keep or r.cost < HOPELESS * lowest)]
-        late = self.refit([(self._candidates(r), r.values) for r in going], rounds)
-        ordered = _best_by_set([*early, *late])
-        ordered = _best_by_set([*ordered, *self._scanned(ordered[:keep])])
-        judged = self.refit([(self._candidates(r), r.values) for r in ordered[:keep]], FINE_ROUNDS, fine=True)
-        return [*_best_by_set(judged), *ordered[keep:]]
+        late: list[Refit] = []
+        for level in ("coarse", "fine"):
+            mine = [r for r in going if (frozenset(r.effects) in finer) == (level == "fine")]
+            late += self.refit([(self._candidates(r), r.values) for r in mine], rounds, level)
+        ordered = best_by_set([*early, *late])
+        ordered = best_by_set([*ordered, *self._scanned(ordered[:keep])])
+        near = [r for i, r in enumerate(ordered[:keep]) if i < LEAST_JUDGED or r.cost < OUT_OF_REACH * ordered[0].cost]
+        judged = self.judged([(self._candidates(r), r.values) for r in near], FINE_ROUNDS)
+        return [*best_by_set(judged), *ordered[len(near) :]]
+
+    def judged(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
+        """Jobs descended at the fine step, corrected by the exact one at each one's own values, and judged by that."""
+        if not jobs:
+            return []
+        points = np.array([values for _, values in jobs])
+        shifts = self.residuals(points, "exact") - self.residuals(points, "fine")
+        best: list[Refit] = []
+        for share in PASSES:
+            at = [(candidates, point) for (candidates, _), point in zip(jobs, points, strict=True)]
+            found = self.refit(at, round(share * rounds), "fine", shifts)
+            points = np.array([r.values for r in found])
+            shown = self.residuals(points, "exact")
+            shifts = shifts + shown - np.array([r.residuals for r in found])
+            seen = [self._judged(r, row) for r, row in zip(found, shown, strict=True)]
+            best = [min(pair, key=lambda r: r.cost) for pair in zip(best or seen, seen, strict=True)]
+        return best
+
+    def _rough(self, refits: Sequence[Refit]) -> list[bool]:
+        """Which of the refits the coarse step gets wrong: a torque that saturates soon, say."""
+        if not refits:
+            return []
+        finer = self.residuals(np.array([r.values for r in refits]), "fine")
+        off = np.mean((finer - np.array([r.residuals for r in refits])) ** 2, axis=1)
+        return [bool(o > ROUGH * max(r.cost, 1.0)) for o, r in zip(off, refits, strict=True)]
 
     def _candidates(self, refit: Refit) -> tuple[Candidate, ...]:
         return tuple(self.library.find(name) for name in refit.effects)
@@ -219,14 +228,16 @@ class Search:
 
     def at(self, values: Array, like: Refit) -> Refit:
         """The refit that has these values (K,)."""
-        whole = self.residuals(values[None])[0]
+        return self._judged(replace(like, values=values), self.residuals(values[None])[0])
+
+    def _judged(self, refit: Refit, residuals: Array) -> Refit:
+        """The refit with residuals (R,) at its values."""
         return replace(
-            like,
-            values=values,
-            residuals=whole,
-            cost=mean_square(whole[~self.kept]),
-            held_out=mean_square(whole[self.kept]),
-            overall=mean_square(whole),
+            refit,
+            residuals=residuals,
+            cost=mean_square(residuals[~self.kept]),
+            held_out=mean_square(residuals[self.kept]),
+            overall=mean_square(residuals),
         )
 
     def moved(self, refit: Refit) -> Array:
@@ -247,17 +258,3 @@ class Search:
         slopes[self.kept] = 0.0
         vectors, sizes, _ = np.linalg.svd(slopes, full_matrices=False)
         return np.asarray(vectors[:, sizes > 1e-6 * max(sizes.max(initial=0.0), 1e-300)])
-
-
-def mean_square(residuals: Array) -> float:
-    """NaN where there are none."""
-    return float(np.mean(residuals**2)) if residuals.size else float("nan")
-
-
-def _best_by_set(refits: Sequence[Refit]) -> list[Refit]:
-    best: dict[frozenset[str], Refit] = {}
-    for refit in refits:
-        same = best.get(frozenset(refit.effects))
-        if np.isfinite(refit.cost) and (same is None or refit.cost < same.cost):
-            best[frozenset(refit.effects)] = refit
-    return sorted(best.values(), key=lambda r: (r.cost, r.effects))

@@ -2,23 +2,27 @@
 """Sensor quantisation."""
 
 from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.filters import Map, rounded
+from labyrinth_sim.filters import Map, dithered
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
 
 def measure(values: Values, site: Site, step: float, start: Array) -> Map:
-    tick = values["tick"]
-    return Map(lambda angle: rounded(angle, tick))
+    tick, noise = values["tick"], values["noise"]
+    return Map(lambda angle: dithered(angle, tick, noise))
 
 
 EFFECT = Effect(
     name="sensor_quantisation",
     title="Sensor quantisation",
-    physics="The sensor knows whole ticks only.",
-    equation="angle' = q round(angle / q)",
+    physics="The sensor knows whole ticks only; a mean of trials takes the steps as softly as the noise before them is "
+    "large.",
+    equation="angle' = E[q round((angle + noise) / q)]",
     parameters=(
         Parameter("tick", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of a 10-bit converter over 300 deg (5.1 mrad)"),
+        Parameter(
+            "noise", "rad", 0.0, 0.01, None, 0.0006, "none to two ticks of such a converter; 0 is one clean trial"
+        ),
     ),
     stage="measurement",
     mark="One signal takes few values, all multiples of one angle.",

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a search tries, and what it finds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.candidates import Candidate
+from labyrinth_sim.trials import Array
+
+Level = Literal["coarse", "fine", "exact"]
+Job = tuple[tuple[Candidate, ...], Array]
+"""Candidates to fit together, and (K,) values to start from."""
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A set of effects refitted together with the base values.
+
+    Attributes:
+        effects: candidate names, in the order in which they were added; empty for the base alone.
+        values: (K,) of all of the library's values, in their units.
+        residuals: (R,) in units of the noise floor.
+        cost: mean square of the residuals on the fitted samples.
+        held_out: the same on the samples kept back.
+        overall: the same on all.
+        free: how many values were fitted.
+        converged: the descent came to rest.
+    """
+
+    effects: tuple[str, ...]
+    values: Array
+    residuals: Array
+    cost: float
+    held_out: float
+    overall: float
+    free: int
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Look:
+    """A candidate at (K,) values, and the cost promised: with as much of its change as helps, to first order.
+
+    `on` counts the refits on top of which it was looked for.
+    """
+
+    candidate: Candidate
+    values: Array
+    promised: float
+    on: int = 0
+
+
+def mean_square(residuals: Array) -> float:
+    """NaN where there are none."""
+    return float(np.mean(residuals**2)) if residuals.size else float("nan")
+
+
+def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
+    best: dict[frozenset[str], Refit] = {}
+    for refit in refits:
+        same = best.get(frozenset(refit.effects))
+        if np.isfinite(refit.cost) and (same is None or refit.cost < same.cost):
+            best[frozenset(refit.effects)] = refit
+    return sorted(best.values(), key=lambda r: (r.cost, r.effects))
