@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What hooks see of a running batch."""
 
+from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import mujoco.batch
@@ -36,6 +38,29 @@ class Fields:
         """Lets MuJoCo recompute the constants that follow from changed fields."""
         if any(name in mujoco.MjModel._setconst_inputs for name in self.used):
             self._batch.set_const()
+
+
+class Servos:
+    """The drives' position servos, linear in angle and speed as MuJoCo's are, before any hook.
+
+    Attributes:
+        dof: (d,) degree of freedom of each drive, in the order of the axes.
+        full: (nsim, d) N m, the largest torque.
+    """
+
+    def __init__(self, base: dict[str, Array], sites: "Sequence[Site]") -> None:
+        self._actuator = np.array([site.actuator for site in sites])
+        self._angle = np.array([site.qpos for site in sites])
+        self.dof = np.array([site.dof for site in sites])
+        self._gain = base["actuator_gainprm"][:, self._actuator, 0]
+        self._bias = [base["actuator_biasprm"][:, self._actuator, k] for k in range(3)]
+        self.full = base["actuator_forcerange"][:, self._actuator, 1]
+
+    def torque(self, live: "Live") -> Array:
+        """(nsim, d) N m that they would give without a limit."""
+        constant, stiffness, damping = self._bias
+        angle, speed = live.qpos[:, self._angle], live.qvel[:, self.dof]
+        return self._gain * live.ctrl[:, self._actuator] + constant + stiffness * angle + damping * speed
 
 
 class Live:
@@ -77,6 +102,11 @@ class Live:
         self.applied[...] = fields.torque
         self.drives: tuple[tuple[Drive, Site], ...] = drives
         self.base: dict[str, Array] = {name: np.array(fields[name]) for name in touched}
+
+    @cached_property
+    def servos(self) -> Servos:
+        """The drives' servos, for hooks that touch all that actuators are made of."""
+        return Servos(self.base, [site for _, site in self.drives])
 
     def __getitem__(self, name: str) -> Array:
         """A touched field, (nsim, ...), writable."""

@@ -18,38 +18,37 @@ def step(live: Live, site: Site, values: Values) -> None:
     A driver that gives the share t at duty (t + n) / f draws that duty's part of the motor's current. Motors that want
     more than f - n, or more than the supply can feed, run at full duty, give f - n and draw that.
     """
-    wanted = np.stack([_wanted(live, other) for _, other in live.drives])
-    sag = values["sag"]
+    servos, sag = live.servos, values["sag"][:, None]
     counts = np.minimum(sag / FULL, 1.0)
-    speed = np.stack([np.clip(live.qvel[:, other.dof] / NO_LOAD, -1.0, 1.0) for _, other in live.drives]) * counts
+    speed = np.minimum(np.maximum(live.qvel[:, servos.dof] / NO_LOAD, -1.0), 1.0) * counts
+    wanted = servos.torque(live) / servos.full
     along = np.where(wanted < 0.0, -speed, speed)
-    torque = np.abs(wanted)
+    torque = np.minimum(np.abs(wanted), 1.0)
     drawn = np.maximum((torque + along) * torque, 0.0)
+    room = 1.0 - 4.0 * sag * drawn.sum(axis=1, keepdims=True)
+    factor = 0.5 + 0.5 * np.sqrt(np.maximum(room, 0.0))
+    if (torque + along > factor).any() or (room < 0.0).any():
+        factor = _limited(sag, torque, along, drawn)
+    drive, place = live.drives[site.channel]
+    drive.supply(live, place, factor[:, 0], speed[:, site.channel])
+
+
+def _limited(sag: Array, torque: Array, along: Array, drawn: Array) -> Array:
+    """(nsim, 1) f where motors, (nsim, d), may run at full duty: those that want too much join until none does."""
     full = np.zeros(torque.shape, dtype=bool)
-    factor = np.ones_like(sag)
-    for _ in range(len(torque) + 1):
-        slope = 1.0 + sag * full.sum(axis=0)
-        level = 1.0 + sag * np.where(full, along, 0.0).sum(axis=0)
-        room = level**2 - 4.0 * slope * sag * np.where(full, 0.0, drawn).sum(axis=0)
-        factor = np.clip((level + np.sqrt(np.maximum(room, 0.0))) / (2.0 * slope), 0.0, 1.0)
-        short = room < 0.0
+    for _ in range(torque.shape[1] + 1):
+        slope = 1.0 + sag * full.sum(axis=1, keepdims=True)
+        level = 1.0 + sag * np.where(full, along, 0.0).sum(axis=1, keepdims=True)
+        room = level**2 - 4.0 * slope * sag * np.where(full, 0.0, drawn).sum(axis=1, keepdims=True)
+        root = np.sqrt(np.maximum(room, 0.0))
+        factor = np.minimum(np.maximum((level + root) / (2.0 * slope), 0.0), 1.0)
         more = ~full & (torque + along > factor)
-        if short.any():
-            more |= ~full & (drawn >= np.where(full, 0.0, drawn).max(axis=0)) & short
+        # A supply that cannot feed them all drives the hungriest at full duty.
+        more |= ~full & (drawn >= np.where(full, 0.0, drawn).max(axis=1, keepdims=True)) & (room < 0.0)
         if not more.any():
             break
         full |= more
-    drive, place = live.drives[site.channel]
-    drive.supply(live, place, factor, speed[site.channel])
-
-
-def _wanted(live: Live, site: Site) -> Array:
-    """(nsim,) share of its full torque that an axis's servo, linear in angle and speed as MuJoCo's are, would give."""
-    i = site.actuator
-    gain, bias = live.base["actuator_gainprm"][:, i], live.base["actuator_biasprm"][:, i]
-    torque = gain[:, 0] * live.ctrl[:, i] + bias[:, 0]
-    torque = torque + bias[:, 1] * live.qpos[:, site.qpos] + bias[:, 2] * live.qvel[:, site.dof]
-    return np.clip(torque / live.base["actuator_forcerange"][:, i, 1], -1.0, 1.0)
+    return factor
 
 
 EFFECT = Effect(
