@@ -111,6 +111,30 @@ def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_picture(tmp_pa
     assert "what no known effect explains" in notebook(tmp_path)
 
 
+def test_trials_that_came_at_uneven_times_are_played_once_more_before_anything_is_called_unknown(
+    tmp_path: Path,
+) -> None:
+    class Disturbed(OfflineRig):
+        """A computer that is busy during the first play."""
+
+        def play(self, sequence: str, trials: int, folder: Path) -> Bags:
+            self._config = load_testbed("healthy", () if self.played else ("irregular_commands.x=strong",))
+            return super().play(sequence, trials, folder)
+
+    rig = Disturbed()
+    ending = ended(rig, tmp_path)
+    assert rig.told == ["unknown", "complete"]
+    assert (ending.verdict, len(ending.steps), len(rig.played)) == ("complete", 1, 2)
+    assert "early or late" in notebook(tmp_path)
+    assert len(json.loads((tmp_path / "diagnosis_2" / "diagnosis.json").read_text())["sources"]) == 1
+
+
+def test_a_rig_that_is_always_uneven_is_unknown(tmp_path: Path) -> None:
+    rig = OfflineRig("irregular_commands.x=strong")
+    assert ended(rig, tmp_path).verdict == "unknown"
+    assert rig.told == ["unknown", "unknown"]
+
+
 def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:
     rig = OfflineRig("supply_sag.x=strong")
     ending = ended(rig, tmp_path, ("supply_sag", "torque_saturation"), most_steps=0)

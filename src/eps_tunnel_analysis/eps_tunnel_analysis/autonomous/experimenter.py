@@ -79,7 +79,9 @@ class Experimenter:
     notebook: Notebook
     say: Callable[[str], None]
     progress: Callable[[], AbstractContextManager[Told | None]]
-    _played: list[Bags] = field(default_factory=list)
+    _played: list[tuple[Bags, Gap]] = field(default_factory=list)
+    _plays: int = 0
+    _repeated: bool = False
     _steps: list[tuple[str, Gap]] = field(default_factory=list)
     _added: list[str] = field(default_factory=list)
     _diagnoses: int = 0
@@ -107,6 +109,8 @@ class Experimenter:
             once = once or {axis: before for axis, (before, _) in v.floor.items()}
             if v.verdict == "undecided" and self._experiment(reason, model):
                 continue
+            if v.verdict == "unknown" and self._repeat(model):
+                continue
             self._experiments.clear()
             named = v.verdict == "effect" and len(self._steps) <= self.plan.most_steps
             model = reason.diagnosis.model if named else reason.diagnosis.base_model
@@ -122,10 +126,11 @@ class Experimenter:
 
     def _play(self, sequence: str, model: Model, doing: str, step: str = "as given") -> None:
         """Plays on both sides and writes the gap down."""
-        number = len(self._played) + 1
+        self._plays += 1
+        number = self._plays
         bags = self.rig.play(sequence, self.plan.trials, self.folder / f"play_{number}")
-        self._played.append(bags)
         gap = measure_gap(bags, model.rig)
+        self._played.append((bags, gap))
         page = self.folder / f"gap_{number}"
         write_gap(gap, bags, page, f"The rig against {model.name}")
         if sequence == self.plan.sequence:
@@ -139,10 +144,8 @@ class Experimenter:
         self._diagnoses += 1
         self.say("Diagnosing ...")
         with self.progress() as told:
-            reason = find_reason(
-                model, self._played, self.folder / f"diagnosis_{self._diagnoses}", self.plan.search, told,
-                self.rig.limit(), once or None,
-            )  # fmt: skip
+            played, folder = [bags for bags, _ in self._played], self.folder / f"diagnosis_{self._diagnoses}"
+            reason = find_reason(model, played, folder, self.plan.search, told, self.rig.limit(), once or None)
         self.rig.tell(reason.content, reason.report)
         self._note(f"Diagnosis: {reason.content['verdict']}", *diagnosis_page(reason, self.notebook))
         return reason
@@ -159,6 +162,21 @@ class Experimenter:
         if not file.exists():
             file.write_text(experiment.to_yaml(self.plan.trials), encoding="utf-8")
         self._play(str(file), model, f"the same model, for it decides. {experiment.reason}")
+        return True
+
+    def _repeat(self, model: Model) -> bool:
+        """Plays once more, instead of what came at uneven times, for no effect explains that; False where nothing did.
+
+        Once only: a rig that is always uneven is unknown indeed.
+        """
+        uneven = [gap for _, gap in self._played if gap.jitter]
+        if not uneven or self._repeated:
+            return False
+        self._repeated = True
+        self._played = [(bags, gap) for bags, gap in self._played if not gap.jitter]
+        step, late = self._steps.pop()[0], max(gap.jitter for gap in uneven)
+        doing = f"the same model, for trials differed as if they had come {1e3 * late:.0f} ms early or late"
+        self._play(self.plan.sequence, model, doing, step)
         return True
 
     def _save(self, model: Model) -> Path:

@@ -14,6 +14,7 @@ from eps_tunnel_analysis.autonomous.rig import Bags
 from eps_tunnel_analysis.cli.folder import new_folder
 from eps_tunnel_analysis.cli.versions import versions
 from eps_tunnel_analysis.compare import Comparison, compare
+from eps_tunnel_analysis.diagnose.repeats import repeats
 from eps_tunnel_analysis.recording import Recording, read, to_trials
 from eps_tunnel_analysis.report.files import write_comparison
 from labyrinth_sim.errors import InputError
@@ -27,10 +28,12 @@ class Gap:
     Attributes:
         comparison: of the positions.
         notes: what was left out.
+        jitter: s, by which samples or commands of the real trials seem to have come early or late; 0 where they repeat.
     """
 
     comparison: Comparison
     notes: tuple[str, ...]
+    jitter: float
 
     @property
     def error(self) -> float:
@@ -58,8 +61,9 @@ def measure_gap(bags: Bags, rig: Rig, ks: Sequence[float] = KS) -> Gap:
     """
     real, sim = ([read(path) for path in paths] for paths in (bags.real, bags.sim))
     names, notes = _throughout([*real, *sim], rig)
-    comparison = compare(to_trials(real, rig, signals=names).trials, to_trials(sim, rig, signals=names).trials, ks)
-    return Gap(comparison, (*notes, *comparison.notes))
+    trials = to_trials(real, rig, signals=names).trials
+    comparison = compare(trials, to_trials(sim, rig, signals=names).trials, ks)
+    return Gap(comparison, (*notes, *comparison.notes), max(r.jitter for r in repeats(trials, names)))
 
 
 def write_gap(gap: Gap, bags: Bags, folder: Path, title: str) -> None:
