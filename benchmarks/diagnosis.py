@@ -7,7 +7,7 @@ outside the library; always with wrong drive values, noise, quantisation and jit
     python benchmarks/diagnosis.py --cases 200 --seed 100000 --json out.json
 
 Seeds 9000 to 9999 were used to choose the numbers in diagnose/calibration.py; a reported run must not touch them.
-A benchmark that is cut off keeps what it has: the JSON file is written anew after each case.
+A benchmark that is cut off keeps what it has: the JSON file is written anew after each case, and --continue goes on.
 """
 
 import argparse
@@ -215,13 +215,24 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=0, help="of each case; 0 for one per CPU")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side; the seconds are then no measure")
     parser.add_argument("--json", type=Path)
+    parser.add_argument(
+        "--continue",
+        dest="goes_on",
+        action="store_true",
+        help="keep the cases that --json holds, made by the same code",
+    )
     arguments = parser.parse_args()
     low, high = CALIBRATION.seeds
     if arguments.seed <= high and arguments.seed + arguments.cases > low:
         print(f"Note: seeds {low} to {high} were used to choose the calibration; these figures flatter it.")
     records: list[dict[str, Any]] = []
+    if arguments.goes_on:
+        if not arguments.json or not arguments.json.exists():
+            parser.error(f"--continue needs the file of an earlier run; --json says {arguments.json}.")
+        records = json.loads(arguments.json.read_text(encoding="utf-8"))["cases"]
     started = time.monotonic()
-    seeds = range(arguments.seed, arguments.seed + arguments.cases)
+    done = {r["seed"] for r in records}
+    seeds = [seed for seed in range(arguments.seed, arguments.seed + arguments.cases) if seed not in done]
     for record in _judged(seeds, arguments.threads, arguments.workers):
         records.append(record)
         records.sort(key=lambda r: r["seed"])
@@ -231,7 +242,9 @@ def main() -> None:
             threads = arguments.threads or os.cpu_count()
             content = {"seed": arguments.seed, "date": str(date.today()), "threads": threads,
                        "workers": arguments.workers, "figures": figures(records), "cases": records}  # fmt: skip
-            arguments.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            partial = arguments.json.with_name(f".{arguments.json.name}.partial")
+            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            partial.replace(arguments.json)
     print(f"\n{len(records)} cases in {time.monotonic() - started:.0f} s")
     for key, value in figures(records).items():
         print(f"{key:26s}{'-' if value is None else f'{value:.3f}'}")

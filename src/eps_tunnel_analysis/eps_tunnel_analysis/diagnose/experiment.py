@@ -160,8 +160,8 @@ def _harshest(axis: AxisDiagnosis, values: Array) -> float:
     search = axis.search
     rolls, model = search.objective.rollouts, search.library.model
     played = simulate_batch(
-        model, search.library.names, values[None], rolls.time, rolls.commands, {}, signals=_positions(model),
-        timestep=STEP,
+        model, search.library.names, values[None], rolls.time, rolls.commands, {}, per_command=rolls.known,
+        signals=_positions(model), timestep=STEP, nthread=search.objective.nthread,
     )  # fmt: skip
     return max(harshness(angles, rolls.time, 3) for angles in played.values[0])
 
@@ -214,7 +214,10 @@ def _answers(
     model = search.library.model
     positions = _positions(model)
     every = (*signals, *(name for name in positions if name not in signals))
-    result = simulate_batch(model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP)
+    result = simulate_batch(
+        model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP,
+        nthread=search.objective.nthread,
+    )  # fmt: skip
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
     mine = model.rig.axis(axis.part.axis)
     moved = result.values[:, 0][:, :, [every.index(m.signal) for m in mine.measured if m.quantity == "position"]]
