@@ -28,9 +28,8 @@ OUT_OF_REACH = 10.0  # times the best cost: no exact step brings that down
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
-ROUGH = (
-    0.5  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
-)
+# Times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one.
+ROUGH = 0.2
 
 
 class Search:
@@ -143,13 +142,12 @@ class Search:
         looked = self.refit(jobs, LOOK_STEP)
         rough = self._rough(looked)
         redone = self.refit([job for job, bad in zip(jobs, rough, strict=True) if bad], LOOK_STEP, "fine")
-        finer = {frozenset(r.effects) for r in redone}
-        early = best_by_set([*redone, *(r for r in looked if frozenset(r.effects) not in finer)])
+        early = best_by_set([*redone, *(r for r, bad in zip(looked, rough, strict=True) if not bad)])
         lowest = early[0].cost if early else np.inf
         going = [r for i, r in enumerate(early) if not r.converged and (i < keep or r.cost < HOPELESS * lowest)]
         late: list[Refit] = []
         for level in ("coarse", "fine"):
-            mine = [r for r in going if (frozenset(r.effects) in finer) == (level == "fine")]
+            mine = [r for r in going if any(r is other for other in redone) == (level == "fine")]
             late += self.refit([(self._candidates(r), r.values) for r in mine], rounds, level)
         ordered = best_by_set([*early, *late])
         ordered = best_by_set([*ordered, *self._scanned(ordered[:keep])])
