@@ -141,4 +141,4 @@ def dithered(values: Array, tick: Array, noise: Array) -> Array:
     share = values / safe
     low = np.floor(share)
     ups = sum(ndtr((share - low - 0.5 - k) / spread) for k in (-1, 0, 1)) - 1.0
-    return np.where(here > 0, np.where(noise[:, None] > 0, (low + ups) * safe, np.round(share) * safe), values)
+    return np.where((here > 0) & (noise[:, None] > 0), (low + ups) * safe, rounded(values, tick))

@@ -59,6 +59,7 @@ def mean_square(residuals: Array) -> float:
 
 
 def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
+    """The refit of least cost of each set of effects, best first; those of no finite cost are left out."""
     best: dict[frozenset[str], Refit] = {}
     for refit in refits:
         same = best.get(frozenset(refit.effects))
