@@ -18,7 +18,7 @@ import yaml
 
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.menu import menu
-from eps_tunnel_analysis.diagnose.rank import LEAST, NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.refit import Refit
 from eps_tunnel_analysis.diagnose.samples import SETTLED, is_steady
 from eps_tunnel_analysis.sequence import Command
@@ -43,8 +43,8 @@ class Experiment:
         name: of the sequence.
         command: what is played.
         rivals: the hypotheses that it separates.
-        misfit: expected root mean square of what is left between them after each was fitted to it, in units of the
-            noise floor, or of what the best model leaves where that is unknown.
+        misfit: expected root mean square of what is left between the closest two after each was fitted to it, in
+            units of the noise floor, or of what the best model leaves where that is unknown.
         reason: in words.
     """
 
@@ -92,12 +92,11 @@ class Harsh:
 
 @dataclass(frozen=True)
 class _Rival:
-    """A hypothesis: its probability, (1 + k, K) values as fitted and with each fitted one moved a little, and (R, k)
-    how the old residuals follow, each of them weighing 1 / R.
+    """A hypothesis: (1 + k, K) values as fitted and with each fitted one moved a little, and (R, k) how the old
+    residuals follow, each of them weighing 1 / R.
     """
 
     name: str
-    probability: float
     points: Array
     old: Array
 
@@ -132,12 +131,13 @@ def next_experiment(
         start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
         for name, command in menu(model, axis.part.axis).items():
             answers, harsh = _answers(axis, rivals, command, 1.0 if floor else math.sqrt(axis.best.overall), known)
-            apart = weight = 0.0
-            for i, j in permutations(range(len(rivals)), 2):
-                both = max(rivals[i].probability * rivals[j].probability, LEAST)
-                apart += both * left_after_fit(answers[i][0], answers[j], rivals[j].old)
-                weight += both
-            size = math.sqrt(apart / weight)
+            # The two that stay closest count: what tells a third rival from both decides nothing.
+            size = math.sqrt(
+                min(
+                    left_after_fit(answers[i][0], answers[j], rivals[j].old)
+                    for i, j in permutations(range(len(rivals)), 2)
+                )
+            )
             reason = f"{start} by {size:.1f} times {named} here, once each is fitted to it."
             offer = Experiment(name, command, tuple(r.name for r in rivals), size, reason)
             offers.append((offer, harsh))
@@ -197,7 +197,7 @@ def _rival(axis: AxisDiagnosis, refit: Refit) -> _Rival:
     points = np.vstack([refit.values, axis.search.moved(refit)])
     old = axis.search.residuals(points)
     slopes = np.nan_to_num(old[1:] - old[0]).T / math.sqrt(old.shape[1])
-    return _Rival(name, axis.probabilities.get(name, 0.0), points, slopes)
+    return _Rival(name, points, slopes)
 
 
 def _answers(
