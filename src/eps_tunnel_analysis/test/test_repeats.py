@@ -50,5 +50,14 @@ def test_uneven_timing_shows_where_it_moves() -> None:
     assert jitter == pytest.approx(0.01, rel=0.3)
 
 
+@pytest.mark.parametrize(("apart", "told"), [(0.004, False), (0.03, True)])
+def test_trials_that_are_early_or_late_as_a_whole_are_even_while_it_is_less_than_a_sample(
+    apart: float, told: bool
+) -> None:
+    late = apart * np.array([-1.0, -0.4, 0.1, 0.5, 0.8])
+    values = np.array([np.interp(TIME - by, TIME, MOTION) for by in late]) + noise(5)
+    assert bool(found(values)[1]) == told
+
+
 def test_three_trials_do_not_show_a_drift() -> None:
     assert found(MOTION + noise(0, 3) + 0.01 * np.arange(3)[:, None]) == (0.0, 0.0)

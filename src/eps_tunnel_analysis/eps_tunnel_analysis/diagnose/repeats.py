@@ -20,6 +20,7 @@ BEYOND = 10.0  # times what the sensors' noise alone would let the trials' means
 SHARE = 0.4  # of the differences between trials, and
 FOLLOWS = 0.6  # correlation with the squared speed, of uneven timing
 SMOOTH = 9  # samples
+OUT_OF_STEP = 12**-0.5  # samples: deviation of what happens at any time within one, as where a loop waits for the next
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Repeats:
     Attributes:
         signal, unit: which.
         drift: of the trials' means, from the first trial to the last, in the signal's unit; 0 where they scatter.
-        jitter: s, standard deviation of the timing that would explain the differences; 0 where it does not.
+        jitter: s, deviation of the timing within trials that would explain the differences; 0 where it does not,
+            or where two loops out of step would do.
     """
 
     signal: str
@@ -68,7 +70,19 @@ def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
     offsets = (values - mean).mean(axis=1)
     rest = values - mean - offsets[:, None]
     drift = _drift(offsets, rest) if len(values) >= FEWEST else 0.0
-    return Repeats(signal, unit, drift, _jitter(rest, mean, step))
+    speed = np.gradient(uniform_filter1d(mean, 5), step)
+    jitter = _jitter(rest - _whole(rest, speed, step), speed)
+    return Repeats(signal, unit, drift, jitter if jitter > step * OUT_OF_STEP else 0.0)
+
+
+def _whole(rest: Array, speed: Array, step: float) -> Array:
+    """What each trial differs by for being early or late as a whole, by a sample at most.
+
+    Player, bus, servo and recorder each go round in a loop of their own, and where in its round the first command finds
+    each is chance.
+    """
+    early = rest @ speed / max(float(speed @ speed), 1e-300)
+    return np.clip(early, -step, step)[:, None] * speed
 
 
 def _drift(offsets: Array, rest: Array) -> float:
@@ -82,10 +96,10 @@ def _drift(offsets: Array, rest: Array) -> float:
     return whole if one_way and abs(slope) > STEADY * scatter and abs(whole) > BEYOND * white else 0.0
 
 
-def _jitter(rest: Array, mean: Array, step: float) -> float:
+def _jitter(rest: Array, speed: Array) -> float:
     """Fits spread = noise + jitter^2 speed^2 over time."""
     spread = np.mean(rest**2, axis=0) * len(rest) / (len(rest) - 1)
-    squared = np.gradient(uniform_filter1d(mean, 5), step) ** 2
+    squared = speed**2
     if not squared.any() or not spread.any():
         return 0.0
     (_, slope), _ = nnls(np.column_stack([np.ones_like(squared), squared]), spread)

@@ -143,7 +143,7 @@ class Plant:
 
     def _remember(self) -> None:
         q = self.q
-        self.motor.warm(q, self.firmware.duty, PERIOD)
+        self.motor.warm(q, PERIOD)
         if self._warms:
             warmed = q.thermal_warmup * -np.expm1(-(self.age[:, None] + self.time) / q.thermal_time)
             rise = warmed + np.maximum(self.motor.temperature - WARM - 5.0, 0.0)

@@ -72,19 +72,23 @@ class Motor:
         self.kt = q.kt.copy()
 
     def torque(self, q: SimpleNamespace, duty: Array, speed: Array) -> Array:
-        """Electromagnetic torque at the shaft, N m."""
-        current = (duty * self.supply - q.ke * speed) / self.resistance
-        self.current = np.clip(current, -q.current_limit, q.current_limit)
+        """Electromagnetic torque at the shaft, N m, at the voltage to which the supply sags with these duties."""
+        self._draw(q, duty, speed)
+        self._sag(q, duty)
+        self._draw(q, duty, speed)
         return self.kt * self.current
 
-    def warm(self, q: SimpleNamespace, duty: Array, dt: float) -> None:
-        """Let heat flow and the supply sag for `dt` seconds."""
+    def _draw(self, q: SimpleNamespace, duty: Array, speed: Array) -> None:
+        current = (duty * self.supply - q.ke * speed) / self.resistance
+        self.current = np.clip(current, -q.current_limit, q.current_limit)
+
+    def warm(self, q: SimpleNamespace, dt: float) -> None:
+        """Let heat flow for `dt` seconds."""
         lost = self.resistance * np.square(self.current) - (self.temperature - WARM) / q.thermal_resistance
         self.temperature = self.temperature + dt * lost / q.heat_capacity
         above = self.temperature - WARM
         self.resistance = q.resistance * (1 + COPPER * above)
         self.kt = q.kt * (1 - MAGNET * above)
-        self._sag(q, duty)
 
     def _sag(self, q: SimpleNamespace, duty: Array) -> None:
         """One Newton step to the voltage at which the supply gives what the motors' bridges draw; none flows back."""
