@@ -101,7 +101,7 @@ def test_the_motor_obeys_its_back_emf() -> None:
 
 
 def test_the_supply_gives_what_both_motors_draw() -> None:
-    """At full duty the circuit says V = (V0 + r sum(ke w) / R) / (1 + 2 r / R); none of it flutters."""
+    """At full duty the circuit says V = (V0 + r sum(ke w) / R) / (1 + 2 r / R); at once, and it never flutters."""
     r, winding, ke = 10.0, 2.9, 1.75
     p = plant(
         QUIET.with_values({"supply_resistance": r, "current_limit": 100.0, "rotor_inertia": 0.05, "command_delay": 0.0})
@@ -110,11 +110,12 @@ def test_the_supply_gives_what_both_motors_draw() -> None:
     seen = []
     for _ in range(8):
         p.advance(1)
-        seen.append(float(p.motor.supply[0, 0]))
-    expected = (12.0 + r * ke * p.servo_speed[0].sum() / winding) / (1 + 2 * r / winding)
-    assert np.abs(p.firmware.duty).min() == 1.0
-    assert seen[-1] == pytest.approx(expected, rel=0.03)
-    assert np.ptp(seen[-4:]) < 0.2
+        circuit = (12.0 + r * ke * p.servo_speed[0].sum() / winding) / (1 + 2 * r / winding)
+        if np.abs(p.firmware.duty).min() == 1.0:
+            seen.append(float(p.motor.supply[0, 0]) / circuit)
+    # At once: a motor that had the full voltage for a millisecond would be off to a flying start.
+    assert len(seen) >= 6
+    np.testing.assert_allclose(seen, 1.0, rtol=0.03)
 
 
 def test_gravity_moves_the_board_to_the_statics_answer() -> None:
