@@ -51,7 +51,7 @@ def test_uneven_timing_shows_where_it_moves() -> None:
 
 
 @pytest.mark.parametrize(("apart", "told"), [(0.004, False), (0.03, True)])
-def test_trials_that_are_early_or_late_as_a_whole_are_even_while_it_is_less_than_a_sample(
+def test_trials_that_are_early_or_late_as_a_whole_are_even_while_it_is_less_than_half_a_sample(
     apart: float, told: bool
 ) -> None:
     late = apart * np.array([-1.0, -0.4, 0.1, 0.5, 0.8])

@@ -76,13 +76,13 @@ def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
 
 
 def _whole(rest: Array, speed: Array, step: float) -> Array:
-    """What each trial differs by for being early or late as a whole, by a sample at most.
+    """What each trial differs by for being early or late as a whole, by half a sample at most.
 
     Player, bus, servo and recorder each go round in a loop of their own, and where in its round the first command finds
     each is chance.
     """
     early = rest @ speed / max(float(speed @ speed), 1e-300)
-    return np.clip(early, -step, step)[:, None] * speed
+    return np.clip(early, -0.5 * step, 0.5 * step)[:, None] * speed
 
 
 def _drift(offsets: Array, rest: Array) -> float:
