@@ -72,9 +72,11 @@ class OfflineRig:
         self.told.append(content["verdict"])
 
 
-def ended(rig: OfflineRig, folder: Path, candidates: tuple[str, ...] = FEW, **plan: Any) -> Ending:
+def ended(
+    rig: OfflineRig, folder: Path, candidates: tuple[str, ...] = FEW, timing: float = 0.01, **plan: Any
+) -> Ending:
     (folder / "short.yaml").write_text(SHORT)
-    given = Plan("labyrinth_manual", str(folder / "short.yaml"), 3, search=Search(candidates), **plan)
+    given = Plan("labyrinth_manual", str(folder / "short.yaml"), 3, search=Search(candidates, timing=timing), **plan)
     notebook = Notebook(folder, "Test")
     return Experimenter(rig, given, folder, notebook, lambda _: None, lambda: nullcontext(None)).run()
 
@@ -133,6 +135,13 @@ def test_a_rig_that_is_always_uneven_is_unknown(tmp_path: Path) -> None:
     rig = OfflineRig("irregular_commands.x=strong")
     assert ended(rig, tmp_path).verdict == "unknown"
     assert rig.told == ["unknown", "unknown"]
+
+
+def test_uneven_timing_that_is_known_of_a_rig_is_told_and_not_held_against_it(tmp_path: Path) -> None:
+    rig = OfflineRig("irregular_commands.x=weak")
+    assert ended(rig, tmp_path, timing=0.05).verdict == "complete"
+    assert (rig.told, len(rig.played)) == (["complete"], 1)
+    assert "early or late" in notebook(tmp_path)
 
 
 def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:

@@ -13,6 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 POLL_S = 0.05
+TIMING = 0.01
+"""s by which nodes that share a computer come early or late anyhow: a sample at 100 Hz"""
+BESIDE = ("--timing-ms", f"{1e3 * TIMING:g}")
+"""options of a diagnosis of what nodes recorded"""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,10 @@ class Play:
 
     Attributes:
         known: full parameter name -> value, of what is known to have been set for these trials, as a firmware's gain.
+        timing: s, uneven timing within trials that the rig is known to have; more of it counts as something missing.
     """
 
     name: str
     trials: Trials
     known: Mapping[str, float] = field(default_factory=dict)
+    timing: float = 0.0

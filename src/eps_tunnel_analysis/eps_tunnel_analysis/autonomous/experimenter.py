@@ -169,11 +169,12 @@ class Experimenter:
 
         Once only: a rig that is always uneven is unknown indeed.
         """
-        uneven = [gap for _, gap in self._played if gap.jitter]
+        known = self.plan.search.timing
+        uneven = [gap for _, gap in self._played if gap.jitter > known]
         if not uneven or self._repeated:
             return False
         self._repeated = True
-        self._played = [(bags, gap) for bags, gap in self._played if not gap.jitter]
+        self._played = [(bags, gap) for bags, gap in self._played if gap.jitter <= known]
         step, late = self._steps.pop()[0], max(gap.jitter for gap in uneven)
         doing = f"the same model, for trials differed as if they had come {1e3 * late:.0f} ms early or late"
         self._play(self.plan.sequence, model, doing, step)

@@ -12,7 +12,7 @@ from eps_tunnel_analysis.cli.diagnosing import write_diagnosis
 from eps_tunnel_analysis.cli.folder import new_folder
 from eps_tunnel_analysis.cli.main import parser
 from eps_tunnel_analysis.cli.plays import load_recorded
-from eps_tunnel_analysis.command_process import spare_threads
+from eps_tunnel_analysis.command_process import TIMING, spare_threads
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
 from labyrinth_sim.model import Model
 
@@ -39,11 +39,13 @@ class Search:
     Attributes:
         candidates: names of effects to consider; None for the whole library.
         threads: of this machine; 0 leaves a core to the nodes.
+        timing: s, uneven timing within trials that the rig is known to have.
     """
 
     candidates: tuple[str, ...] | None = None
     seed: int = 0
     threads: int = 0
+    timing: float = TIMING
 
 
 def find_reason(
@@ -65,7 +67,7 @@ def find_reason(
     Raises:
         InputError: what `diagnose` raises, or bags that cannot be read.
     """
-    arguments = _arguments(model, played, folder)
+    arguments = _arguments(model, played, folder, search.timing)
     recorded = load_recorded(arguments, efforts=True)
     recorded = replace(recorded, model=within(recorded.model, limit) if limit else recorded.model)
     threads = search.threads or spare_threads()
@@ -81,6 +83,7 @@ def within(model: Model, limit: float) -> Model:
     return replace(model, rig=replace(model.rig, axes=axes))
 
 
-def _arguments(model: str, played: Sequence[Bags], folder: Path) -> argparse.Namespace:
+def _arguments(model: str, played: Sequence[Bags], folder: Path, timing: float) -> argparse.Namespace:
     bags = [str(bag) for bags in played for bag in bags.real]
-    return parser().parse_args(["diagnose", "--real", *bags, "--model", model, "--out", str(folder)])
+    known = ["--timing-ms", f"{1e3 * timing:g}"]
+    return parser().parse_args(["diagnose", "--real", *bags, "--model", model, "--out", str(folder), *known])

@@ -25,7 +25,7 @@ LINE_EVERY = 0.2
 
 
 def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
-    """--known, --held-out, --seed, --threads, --progress."""
+    """--known, --timing-ms, --held-out, --seed, --threads, --progress."""
     add_known_arguments(parser)
     parser.add_argument("--seed", type=int, default=0, help="kept with the result (default: %(default)s)")
     parser.add_argument(

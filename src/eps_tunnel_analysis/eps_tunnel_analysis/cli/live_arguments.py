@@ -50,11 +50,13 @@ def improve_live(arguments: argparse.Namespace) -> int:
     from eps_tunnel_analysis.autonomous.experimenter import Plan
     from eps_tunnel_analysis.autonomous.reason import Search
     from eps_tunnel_analysis.autonomous.rig import RigFailed
+    from eps_tunnel_analysis.command_process import TIMING
 
     candidates = tuple(arguments.candidates) if arguments.candidates else None
+    timing = TIMING if arguments.timing_ms is None else arguments.timing_ms / 1e3
     plan = Plan(
         arguments.model, arguments.sequence, arguments.trials, arguments.most_steps,
-        search=Search(candidates, arguments.seed, arguments.threads),
+        search=Search(candidates, arguments.seed, arguments.threads, timing),
     )  # fmt: skip
     out = console(stderr=arguments.json)
     try:

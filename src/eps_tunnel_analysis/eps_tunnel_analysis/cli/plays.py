@@ -69,14 +69,28 @@ def load_recorded(arguments: argparse.Namespace, efforts: bool = False) -> Recor
     )
 
 
+def _milliseconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected milliseconds from 0 on, got {text}")
+    return value
+
+
 def add_known_arguments(parser: argparse.ArgumentParser) -> None:
-    """--known and --held-out."""
+    """--known, --timing-ms and --held-out."""
     parser.add_argument(
         "--known",
         nargs="+",
         metavar="PATTERN:NAME=VALUE",
         help="what was set differently in some bags: those whose path matches PATTERN were recorded with this value, "
         "as '*kp_100*:drive.pendulum.kp=100'",
+    )
+    parser.add_argument(
+        "--timing-ms",
+        type=_milliseconds,
+        metavar="MS",
+        help="uneven timing of commands or samples within trials that this rig is known to have; more counts as "
+        "something missing (default: 0.29 of a sample; beside nodes, which share a computer, 10)",
     )
     parser.add_argument(
         "--held-out", nargs="+", metavar="BAG", type=Path, help="recordings that are never fitted, only judged"
@@ -122,13 +136,14 @@ def _plays(
     groups: dict[tuple[tuple[str, float], ...], list[Recording]] = {}
     for path, recording in zip(paths, recordings, strict=True):
         groups.setdefault(tuple(sorted(known[path].items())), []).append(recording)
+    timing = (getattr(arguments, "timing_ms", None) or 0.0) / 1e3
     plays: list[Play] = []
     results: list[TrialsResult] = []
     notes: list[str] = []
     for values, group in groups.items():
         found = to_plays(group, rig, **how)
         told = ", ".join(f"{name} {value:g}" for name, value in values)
-        plays += [Play(f"{p.name}, {told}" if told else p.name, p.trials, dict(values)) for p in found.plays]
+        plays += [Play(f"{p.name}, {told}" if told else p.name, p.trials, dict(values), timing) for p in found.plays]
         results += found.results
         notes += found.notes
     return PlaysResult(tuple(plays), tuple(results), tuple(dict.fromkeys(notes)))

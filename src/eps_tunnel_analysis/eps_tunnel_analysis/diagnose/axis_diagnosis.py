@@ -105,9 +105,10 @@ def diagnose_axis(
             if best is not fuller or best.overall > FAR * enough:
                 break
     independent = _independent(search, _lowest([base, *refits]))
-    odd = tuple(r for play in plays for r in repeats(play.trials, _positions(model, part)) if r.sentence)
-    drifts = any(o.drift for o in odd)
-    ranking, unknown = rank(base, refits, independent, tried, once, drifts, bool(odd), floor)
+    differ = [(p, r) for p in plays for r in repeats(p.trials, _positions(model, part)) if r.sentence]
+    odd, drifts = tuple(r for _, r in differ), any(r.drift for _, r in differ)
+    uneven = any(r.jitter > p.timing for p, r in differ)
+    ranking, unknown = rank(base, refits, independent, tried, once, drifts, uneven, floor)
     probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
     even, unknown = rank(base, refits, independent, tried, once, drifts, False, floor)
     timed = {r.name: r.probability for r in even} | {UNKNOWN: unknown}
