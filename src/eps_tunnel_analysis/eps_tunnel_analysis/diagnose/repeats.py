@@ -31,7 +31,7 @@ class Repeats:
         signal, unit: which.
         drift: of the trials' means, from the first trial to the last, in the signal's unit; 0 where they scatter.
         jitter: s, deviation of the timing within trials that would explain the differences; 0 where it does not,
-            or where two loops out of step would do.
+            or where a loop out of step would do.
     """
 
     signal: str

@@ -81,16 +81,6 @@ class DiagnoseServer:
 
 def arguments(goal: Diagnose.Goal) -> list[str]:
     """A goal as the command line takes it."""
-    given = [
-        "diagnose",
-        "--real",
-        *goal.bags,
-        "--model",
-        goal.model,
-        "--out",
-        goal.out,
-        "--seed",
-        str(goal.seed),
-        *BESIDE,
-    ]
+    given = ["diagnose", "--real", *goal.bags, "--model", goal.model, "--out", goal.out, "--seed", str(goal.seed)]
+    given += BESIDE
     return [*given, "--candidates", *goal.candidates] if goal.candidates else given
