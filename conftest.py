@@ -1,22 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all tests share: ROS domains of their own, and a second try and the machine to themselves for tests that run
-against real time.
-"""
+"""What all tests share: ROS domains of their own; a second try, and precedence, for those against real time."""
 
-import fcntl
 import os
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
 from itertools import count
-from pathlib import Path
 
 import pytest
 
 RERUNS = 2
+NICE = 10  # of a worker's other tests
 _failed = pytest.StashKey[bool]()
-_worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-_firsts = count(os.getpid() + 50 * _worker)  # domains far from those of another worker, whose nodes may linger
+_firsts = count(os.getpid())
 
 
 def _domain() -> Iterator[int]:
@@ -39,62 +34,34 @@ def module_domain() -> Iterator[int]:
     yield from _domain()
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    if hasattr(config, "workerinput"):
-        config.stash[_turns] = Turns(config.rootpath)
+def pytest_configure() -> None:
     # A shell's background job ignores Ctrl-C and hands that on to every child; some tests press it.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-class Turns:
-    """Who may use the machine, of the workers of one run: real-time tests alone, all others side by side."""
-
-    def __init__(self, root: Path) -> None:
-        # Locked, never written: any two files that every worker finds.
-        self._turn, self._machine = (root / "conftest.py").open(), (root / "pyproject.toml").open()
-        self._alone = False
-
-    @contextmanager
-    def of(self, alone: bool, last: bool) -> Iterator[None]:
-        """For one test; a file's tests that need the machine alone keep it until the `last` of them."""
-        if not self._alone:
-            # Who waits for the machine holds the turn meanwhile, lest the others hand it on among themselves.
-            fcntl.flock(self._turn, fcntl.LOCK_EX)
-            fcntl.flock(self._machine, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
-            fcntl.flock(self._turn, fcntl.LOCK_UN)
-            self._alone = alone
-        try:
-            yield
-        finally:
-            if last or not self._alone:
-                fcntl.flock(self._machine, fcntl.LOCK_UN)
-                self._alone = False
+def _realtime(item: pytest.Item) -> bool:
+    return item.get_closest_marker("realtime") is not None
 
 
-_turns = pytest.StashKey[Turns]()
-
-
-def _alone(item: pytest.Item | None) -> bool:
-    return item is not None and item.get_closest_marker("realtime") is not None
-
-
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    # The real-time tests last, for they have the machine to themselves; the long ones first, for those fill it best.
-    items.sort(key=lambda item: (_alone(item), item.path.parent != config.rootpath / "test"))
+    """With workers, one takes all real-time tests, each of which wants most of the machine, the others the rest."""
+    items.sort(key=lambda item: not _realtime(item))
+    for item in items:
+        if _realtime(item):
+            item.add_marker(pytest.mark.xdist_group("realtime"))
     if config.option.usepdb or not config.pluginmanager.hasplugin("rerunfailures"):
         return
     for item in items:
-        if item.get_closest_marker("realtime"):
+        if _realtime(item):
             item.add_marker(pytest.mark.flaky(reruns=RERUNS))
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
-    turns = item.config.stash.get(_turns, None)
-    last = not _alone(nextitem) or nextitem.path != item.path
-    with turns.of(_alone(item), last) if turns else nullcontext():
-        return (yield)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    # Real-time tests come first in their worker, so none of them ever runs at this lower priority.
+    if hasattr(item.config, "workerinput") and not _realtime(item) and os.nice(0) < NICE:
+        os.nice(NICE)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -107,5 +74,5 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_teardown(item: pytest.Item) -> None:
     """After a failure the processes of a file's fixtures are in an unknown state: they are ended, and begun anew."""
-    if item.get_closest_marker("realtime") and item.stash.get(_failed, False):
+    if _realtime(item) and item.stash.get(_failed, False):
         item.session._setupstate.teardown_exact(item.session)
