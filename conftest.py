@@ -48,14 +48,14 @@ def _realtime(item: pytest.Item) -> bool:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """With workers, one takes all real-time tests, each of which wants most of the machine, the others the rest."""
     items.sort(key=lambda item: not _realtime(item))
+    marks = []
+    if config.pluginmanager.hasplugin("xdist"):
+        marks.append(pytest.mark.xdist_group("realtime"))
+    if config.pluginmanager.hasplugin("rerunfailures") and not config.option.usepdb:
+        marks.append(pytest.mark.flaky(reruns=RERUNS))
     for item in items:
-        if _realtime(item):
-            item.add_marker(pytest.mark.xdist_group("realtime"))
-    if config.option.usepdb or not config.pluginmanager.hasplugin("rerunfailures"):
-        return
-    for item in items:
-        if _realtime(item):
-            item.add_marker(pytest.mark.flaky(reruns=RERUNS))
+        for mark in marks if _realtime(item) else ():
+            item.add_marker(mark)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

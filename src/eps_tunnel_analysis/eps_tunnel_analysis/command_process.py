@@ -15,8 +15,6 @@ from typing import Any
 POLL_S = 0.05
 TIMING = 0.01
 """s by which nodes that share a computer come early or late anyhow: a sample at 100 Hz"""
-BESIDE = ("--timing-ms", f"{1e3 * TIMING:g}")
-"""options of a diagnosis of what nodes recorded"""
 
 
 @dataclass(frozen=True)
@@ -26,6 +24,11 @@ class Output:
     code: int
     text: str
     complaints: tuple[str, ...]
+
+
+def timing_options(timing: float = TIMING) -> list[str]:
+    """Options of a diagnosis of what a rig with this uneven timing recorded, in s."""
+    return ["--timing-ms", f"{1e3 * timing:g}"]
 
 
 def spare_threads() -> int:

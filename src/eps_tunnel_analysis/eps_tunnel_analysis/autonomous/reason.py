@@ -12,7 +12,7 @@ from eps_tunnel_analysis.cli.diagnosing import write_diagnosis
 from eps_tunnel_analysis.cli.folder import new_folder
 from eps_tunnel_analysis.cli.main import parser
 from eps_tunnel_analysis.cli.plays import load_recorded
-from eps_tunnel_analysis.command_process import TIMING, spare_threads
+from eps_tunnel_analysis.command_process import TIMING, spare_threads, timing_options
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
 from labyrinth_sim.model import Model
 
@@ -85,5 +85,5 @@ def within(model: Model, limit: float) -> Model:
 
 def _arguments(model: str, played: Sequence[Bags], folder: Path, timing: float) -> argparse.Namespace:
     bags = [str(bag) for bags in played for bag in bags.real]
-    known = ["--timing-ms", f"{1e3 * timing:g}"]
-    return parser().parse_args(["diagnose", "--real", *bags, "--model", model, "--out", str(folder), *known])
+    given = ["diagnose", "--real", *bags, "--model", model, "--out", str(folder), *timing_options(timing)]
+    return parser().parse_args(given)

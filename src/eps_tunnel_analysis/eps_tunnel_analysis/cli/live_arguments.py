@@ -53,7 +53,7 @@ def improve_live(arguments: argparse.Namespace) -> int:
     from eps_tunnel_analysis.command_process import TIMING
 
     candidates = tuple(arguments.candidates) if arguments.candidates else None
-    timing = TIMING if arguments.timing_ms is None else arguments.timing_ms / 1e3
+    timing = TIMING if arguments.timing is None else arguments.timing
     plan = Plan(
         arguments.model, arguments.sequence, arguments.trials, arguments.most_steps,
         search=Search(candidates, arguments.seed, arguments.threads, timing),

@@ -70,10 +70,11 @@ def load_recorded(arguments: argparse.Namespace, efforts: bool = False) -> Recor
 
 
 def _milliseconds(text: str) -> float:
+    """In s."""
     value = float(text)
     if not 0.0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"expected milliseconds from 0 on, got {text}")
-    return value
+    return value / 1e3
 
 
 def add_known_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,6 +88,7 @@ def add_known_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--timing-ms",
+        dest="timing",
         type=_milliseconds,
         metavar="MS",
         help="uneven timing of commands or samples within trials that this rig is known to have; more counts as "
@@ -136,7 +138,7 @@ def _plays(
     groups: dict[tuple[tuple[str, float], ...], list[Recording]] = {}
     for path, recording in zip(paths, recordings, strict=True):
         groups.setdefault(tuple(sorted(known[path].items())), []).append(recording)
-    timing = (getattr(arguments, "timing_ms", None) or 0.0) / 1e3
+    timing = getattr(arguments, "timing", None) or 0.0
     plays: list[Play] = []
     results: list[TrialsResult] = []
     notes: list[str] = []

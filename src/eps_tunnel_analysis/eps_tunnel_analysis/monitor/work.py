@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eps_tunnel_analysis.command_process import BESIDE, run_command
+from eps_tunnel_analysis.command_process import run_command, timing_options
 from eps_tunnel_analysis.monitor.parts import Verdict
 from labyrinth_sim.errors import InputError
 
@@ -47,7 +47,8 @@ class Work:
     def diagnose(self, bags: Sequence[str], model: str, out: Path, candidates: Sequence[str]) -> None:
         """`ended` gets the content of diagnosis.json, from another thread; so for `add`."""
         only = ["--candidates", *candidates] if candidates else []
-        self._start("diagnose", ["diagnose", "--real", *bags, "--model", model, "--out", str(out), *BESIDE, *only], out)
+        given = ["diagnose", "--real", *bags, "--model", model, "--out", str(out), *timing_options(), *only]
+        self._start("diagnose", given, out)
 
     def add(self, names: Sequence[str], bags: Sequence[str], model: str, out: Path) -> None:
         """Writes the model with the effects fitted to `out`."""

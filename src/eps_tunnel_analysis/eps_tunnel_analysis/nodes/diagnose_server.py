@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from eps_tunnel_analysis.command_process import BESIDE, run_command
+from eps_tunnel_analysis.command_process import run_command, timing_options
 from eps_tunnel_analysis.nodes.common import TunnelNode
 from eps_tunnel_analysis.nodes.diagnosis_message import LATCHED, diagnosis_message
 from eps_tunnel_analysis.nodes.one_goal import Handle, OneGoal
@@ -82,5 +82,5 @@ class DiagnoseServer:
 def arguments(goal: Diagnose.Goal) -> list[str]:
     """A goal as the command line takes it."""
     given = ["diagnose", "--real", *goal.bags, "--model", goal.model, "--out", goal.out, "--seed", str(goal.seed)]
-    given += BESIDE
+    given += timing_options()
     return [*given, "--candidates", *goal.candidates] if goal.candidates else given
