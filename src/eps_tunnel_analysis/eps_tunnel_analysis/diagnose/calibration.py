@@ -22,7 +22,7 @@ class Calibration:
     """
 
     gate: float = 1.1
-    left_over: float = 0.1
+    left_over: float = 0.03
     second: float = 0.4
     odd: float = 0.97
     clean: float = 0.8
