@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eps_tunnel_analysis.cli.folder import write_anew
 from eps_tunnel_analysis.diagnose.addition import add_effects
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
@@ -242,9 +243,7 @@ def main() -> None:
             threads = arguments.threads or os.cpu_count()
             content = {"seed": arguments.seed, "date": str(date.today()), "threads": threads,
                        "workers": arguments.workers, "figures": figures(records), "cases": records}  # fmt: skip
-            partial = arguments.json.with_name(f".{arguments.json.name}.partial")
-            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-            partial.replace(arguments.json)
+            write_anew(arguments.json, json.dumps(content, indent=1) + "\n")
     print(f"\n{len(records)} cases in {time.monotonic() - started:.0f} s")
     for key, value in figures(records).items():
         print(f"{key:26s}{'-' if value is None else f'{value:.3f}'}")

@@ -9,6 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from eps_tunnel_analysis.autonomous.pictures import save
+from eps_tunnel_analysis.cli.folder import write_anew
 
 FILE = "notebook.md"
 
@@ -44,10 +45,7 @@ class Notebook:
         return f"[{text}]({Path(os.path.relpath(path, self._folder)).as_posix()})"
 
     def _write(self) -> None:
-        # A new file put in the old one's place: whoever reads, or interrupts, finds a whole one.
-        partial = self._folder / f".{FILE}"
-        partial.write_text("\n\n".join(self._pages) + "\n", encoding="utf-8")
-        partial.replace(self.path)
+        write_anew(self.path, "\n\n".join(self._pages) + "\n")
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output folders: whole or not at all, and never one that exists."""
+"""Output folders: whole or not at all, and never one that exists; files that are written anew, always whole."""
 
 import os
 import shutil
@@ -15,6 +15,13 @@ def refuse_existing(folder: Path) -> None:
     """Raises InputError where something of that name exists; to be called before the work starts."""
     if folder.exists() or folder.is_symlink():
         raise InputError(f"--out {folder}: exists already and is never overwritten. Name a folder that does not exist.")
+
+
+def write_anew(file: Path, text: str) -> None:
+    """Replaces a file, or makes it; whoever reads it, or interrupts, finds a whole one."""
+    partial = file.with_name(f".{file.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(file)
 
 
 def numbered_folder(out: Path, name: str, by: str = "--out") -> Path:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
-from eps_tunnel_analysis.diagnose.ball import BALL, ROUGH, inexactness, on_ball, values_of
+from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, values_of
 from eps_tunnel_analysis.diagnose.candidates import Library, library
 from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit
 from eps_tunnel_analysis.diagnose.samples import begun, floors, kept_samples, steady_efforts
@@ -110,7 +110,7 @@ def axis_search(
     if part.axis == BALL:
         scale = np.hypot(scale, inexactness(objective.samples * plays[0].trials.step))
     kept = kept_samples(objective, plays)
-    return Search(lib, levels, scale, kept, used, told, ROUGH if part.axis == BALL else DIFFERENCE)
+    return Search(lib, levels, scale, kept, used, told, BALL_DIFFERENCE if part.axis == BALL else DIFFERENCE)
 
 
 def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:

@@ -17,7 +17,7 @@ from labyrinth_sim.trials import Array
 
 BALL = "ball"
 PLACE = 3e-4  # m; how exactly the first sample tells where the ball lies
-ROUGH = 0.01  # of the bounds' span; finite differences that see over what a wall does to the misfit
+BALL_DIFFERENCE = 0.01  # of the bounds' span; finite differences that see over what a wall does to the misfit
 TILT = 4e-4  # rad; how exactly a model's board is tilted, a quarter of an encoder's tick
 ROLLING = 5 / 7 * 9.81  # m/s^2, of a ball that rolls without slipping, for each radian of tilt
 

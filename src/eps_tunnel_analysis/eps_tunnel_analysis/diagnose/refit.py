@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from labyrinth_sim.trials import Array
@@ -53,9 +54,16 @@ class Look:
     on: int = 0
 
 
-def mean_square(residuals: Array) -> float:
-    """NaN where there are none."""
-    return float(np.mean(residuals**2)) if residuals.size else float("nan")
+def refit_of(
+    effects: tuple[str, ...], values: Array, residuals: Array, kept: NDArray[np.bool_], free: int, converged: bool
+) -> Refit:
+    """A refit with residuals (R,), of which `kept` were not fitted; a cost is NaN where it is over none."""
+
+    def mean_square(part: Array) -> float:
+        return float(np.mean(part**2)) if part.size else float("nan")
+
+    cost, held_out = mean_square(residuals[~kept]), mean_square(residuals[kept])
+    return Refit(effects, values, residuals, cost, held_out, mean_square(residuals), free, converged)
 
 
 def best_by_set(refits: Sequence[Refit]) -> list[Refit]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, starts
-from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit, best_by_set, mean_square
+from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit, best_by_set, refit_of
 from eps_tunnel_analysis.fit.lockstep import descend
 from eps_tunnel_analysis.fit.objective import Objective
 from labyrinth_sim.trials import Array
@@ -120,18 +120,12 @@ class Search:
         values = np.clip(self.low + found.z * span, self.low, self.high)
         whole = self.residuals(values, level) + more
         return [
-            Refit(
-                effects=tuple(c.name for c in candidates),
-                values=values[row],
-                residuals=whole[row],
-                cost=mean_square(whole[row][fitted]),
-                held_out=mean_square(whole[row][self.kept]),
-                overall=mean_square(whole[row]),
-                free=int(free[row].sum()),
-                converged=bool(found.converged[row]),
+            refit_of(
+                tuple(c.name for c in candidates), values[row], whole[row], self.kept, int(free[row].sum()),
+                bool(found.converged[row]),
             )
             for row, (candidates, _) in enumerate(jobs)
-        ]
+        ]  # fmt: skip
 
     def best_of(self, jobs: Sequence[tuple[tuple[Candidate, ...], Array]], rounds: int, keep: int = 6) -> list[Refit]:
         """Descend all jobs a little, the promising ones to the end; the best refit of each set of effects, best first.
@@ -230,13 +224,7 @@ class Search:
 
     def _judged(self, refit: Refit, residuals: Array) -> Refit:
         """The refit with residuals (R,) at its values."""
-        return replace(
-            refit,
-            residuals=residuals,
-            cost=mean_square(residuals[~self.kept]),
-            held_out=mean_square(residuals[self.kept]),
-            overall=mean_square(residuals),
-        )
+        return refit_of(refit.effects, refit.values, residuals, self.kept, refit.free, refit.converged)
 
     def moved(self, refit: Refit) -> Array:
         """(k, K) values of a refit with each of its fitted ones, the base's first, moved by a finite difference."""
