@@ -6,7 +6,15 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_search, ball_part, base_refit
+from eps_tunnel_analysis.diagnose.axis_search import (
+    ROUNDS,
+    among,
+    axis_parts,
+    axis_search,
+    ball_part,
+    base_refit,
+    fitted_bases,
+)
 from eps_tunnel_analysis.diagnose.ball import BALL, part_name, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import Progress, compared, errors_of, is_moved
@@ -84,16 +92,17 @@ def add_effects(
     rolls = bool(on_ball) and sees_ball(model, plays)
     alone = [without_ball(p) for p in plays]
     parts = [p for p in axis_parts(model, alone) if is_moved(model, p, alone)]
+    bases = fitted_bases(model, alone, parts, nthread, told)
     for part in [*parts, ball_part()] if rolls else parts:
         count = partial(told, part_name(part.axis)) if told else None
         ball = part.axis == BALL
         # It rolls as the axes tilt, so it is fitted last.
-        search = axis_search(final if ball else model, plays if ball else alone, part,
+        search = axis_search(final if ball else among(model, bases, part.axis), plays if ball else alone, part,
                              only=on_ball if ball else on_axes if rolls else [*on_axes, *on_ball],
                              nthread=nthread, told=count)  # fmt: skip
         mine = [c for c in search.library.candidates if c.name in left]
         left = [n for n in left if n not in [c.name for c in mine]]
-        base = base_refit(search)
+        base = base_refit(search, bases.get(part.axis))
         best = _fitted(search, base, mine)
         numbers = dict(zip(search.library.names, (float(v) for v in best.values), strict=True))
         fitted = dict(zip(search.library.names, (float(v) for v in base.values), strict=True))

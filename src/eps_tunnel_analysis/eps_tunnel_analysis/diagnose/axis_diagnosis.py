@@ -9,6 +9,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axis_search import (
     BASE_STARTS,
     AxisPart,
+    among,
     axis_search,
     base_from,
     base_refit,
@@ -76,12 +77,20 @@ def diagnose_axis(
     nthread: int,
     told: Progress | None,
     once: float,
+    bases: Mapping[str, Mapping[str, float]] | None = None,
 ) -> AxisDiagnosis:
-    """Names what one axis lacks; the arguments are those of `diagnose`, `once` being this axis's."""
+    """Names what one axis lacks.
+
+    Args:
+        once: this axis's; the others are those of `diagnose`.
+        bases: axis -> base values refitted alone, where there are several axes.
+    """
+    bases = bases or {}
     search = axis_search(
-        model, plays, part, only, nthread=nthread, told=(lambda n: told(part_name(part.axis), n)) if told else None
-    )
-    base = base_refit(search)
+        among(model, bases, part.axis), plays, part, only, nthread=nthread,
+        told=(lambda n: told(part_name(part.axis), n)) if told else None,
+    )  # fmt: skip
+    base = base_refit(search, bases.get(part.axis))
     tried = len(search.library.candidates)
     refits: list[Refit] = []
     floor = floor_known(plays)

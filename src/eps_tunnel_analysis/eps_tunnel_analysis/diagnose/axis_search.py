@@ -5,13 +5,14 @@ Axes hardly couple, so an axis whose signals the model explains needs no candida
 half the values.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import qmc
 
-from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, values_of
+from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, part_name, values_of
 from eps_tunnel_analysis.diagnose.candidates import Library, library
 from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit
 from eps_tunnel_analysis.diagnose.samples import begun, floors, kept_samples, steady_efforts
@@ -117,9 +118,39 @@ def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
     return [i for i, name in enumerate(signals) if name in which]
 
 
-def base_refit(search: Search, rounds: int = 8) -> Refit:
-    """The base values alone: descended from where the model has them and from the best of many others."""
-    return base_from(search, _base_starts(search, search.start, BASE_STARTS), rounds)
+def base_refit(search: Search, known: Mapping[str, float] | None = None, rounds: int = 8) -> Refit:
+    """The base values alone: descended from where the model has them and from the best of many others.
+
+    Args:
+        known: what such a search found already; then from there instead of from many others.
+    """
+    if known is None:
+        return base_from(search, _base_starts(search, search.start, BASE_STARTS), rounds)
+    found = search.start.copy()
+    found[: len(search.library.base)] = [known[name] for name in search.library.base]
+    return base_from(search, [search.start, found], rounds)
+
+
+def fitted_bases(
+    model: Model,
+    plays: Sequence[Play],
+    parts: Sequence[AxisPart],
+    nthread: int = 0,
+    told: Callable[[str, int], None] | None = None,
+) -> dict[str, dict[str, float]]:
+    """Axis -> its base values refitted alone, by full name; nothing for one axis, which has no others."""
+    found: dict[str, dict[str, float]] = {}
+    for part in parts if len(parts) > 1 else ():
+        count = partial(told, part_name(part.axis)) if told else None
+        refit = base_refit(search := axis_search(model, plays, part, [], nthread=nthread, told=count))
+        found[part.axis] = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
+    return found
+
+
+def among(model: Model, bases: Mapping[str, Mapping[str, float]], axis: str) -> Model:
+    """The model as one axis is searched on it: the others move as they do, for what couples to them turns along."""
+    others = {name: value for other, values in bases.items() if other != axis for name, value in values.items()}
+    return model.with_values(others, "refitted")
 
 
 def _base_starts(search: Search, values: Array, keep: int) -> list[Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_parts, ball_part
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_parts, ball_part, fitted_bases
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
@@ -87,7 +87,8 @@ def diagnose(
             "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
         )
     left, names = once or {}, on_axes if rolls else only
-    axes = tuple(diagnose_axis(model, alone, p, names, nthread, told, left.get(p.axis, 0.0)) for p in moved)
+    bases = fitted_bases(model, alone, moved, nthread, told)
+    axes = tuple(diagnose_axis(model, alone, p, names, nthread, told, left.get(p.axis, 0.0), bases) for p in moved)
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.
         found = set(decide(_together(axes), CALIBRATION.coverage)[1])
