@@ -12,7 +12,8 @@ import argparse
 import numpy as np
 from diagnosis import draw, play, rig
 
-from eps_tunnel_analysis.diagnose.axis_search import axis_parts, axis_search, base_refit
+from eps_tunnel_analysis.diagnose.axis_search import axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.base_refit import base_refit
 from eps_tunnel_analysis.diagnose.repeats import repeats
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_hw.testbed.effects import EFFECTS, STRENGTHS

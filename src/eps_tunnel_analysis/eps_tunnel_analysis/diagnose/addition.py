@@ -6,16 +6,10 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from eps_tunnel_analysis.diagnose.axis_search import (
-    ROUNDS,
-    among,
-    axis_parts,
-    axis_search,
-    ball_part,
-    base_refit,
-    fitted_bases,
-)
+from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_search, ball_part
 from eps_tunnel_analysis.diagnose.ball import BALL, part_name, sees_ball, split, without_ball
+from eps_tunnel_analysis.diagnose.base_refit import base_refit
+from eps_tunnel_analysis.diagnose.bases import fitted_bases
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import Progress, compared, errors_of, is_moved
 from eps_tunnel_analysis.diagnose.refit import Refit
@@ -97,12 +91,12 @@ def add_effects(
         count = partial(told, part_name(part.axis)) if told else None
         ball = part.axis == BALL
         # It rolls as the axes tilt, so it is fitted last.
-        search = axis_search(final if ball else among(model, bases, part.axis), plays if ball else alone, part,
+        search = axis_search(final if ball else bases.among(model, part.axis), plays if ball else alone, part,
                              only=on_ball if ball else on_axes if rolls else [*on_axes, *on_ball],
                              nthread=nthread, told=count)  # fmt: skip
         mine = [c for c in search.library.candidates if c.name in left]
         left = [n for n in left if n not in [c.name for c in mine]]
-        base = base_refit(search, bases.get(part.axis))
+        base = base_refit(search, bases.values.get(part.axis))
         best = _fitted(search, base, mine)
         numbers = dict(zip(search.library.names, (float(v) for v in best.values), strict=True))
         fitted = dict(zip(search.library.names, (float(v) for v in base.values), strict=True))

@@ -6,17 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.axis_search import (
-    BASE_STARTS,
-    AxisPart,
-    among,
-    axis_search,
-    base_from,
-    base_refit,
-    next_refits,
-    rival_refits,
-)
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_search, next_refits, rival_refits
 from eps_tunnel_analysis.diagnose.ball import part_name
+from eps_tunnel_analysis.diagnose.base_refit import STARTS, base_from, base_refit
+from eps_tunnel_analysis.diagnose.bases import Bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.gate import allowed, gate
 from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, penalty, rank
@@ -77,20 +70,20 @@ def diagnose_axis(
     nthread: int,
     told: Progress | None,
     once: float,
-    bases: Mapping[str, Mapping[str, float]] | None = None,
+    bases: Bases | None = None,
 ) -> AxisDiagnosis:
     """Names what one axis lacks.
 
     Args:
         once: this axis's; the others are those of `diagnose`.
-        bases: axis -> base values refitted alone, where there are several axes.
+        bases: of all axes, where there are several.
     """
-    bases = bases or {}
+    bases = bases or Bases()
     search = axis_search(
-        among(model, bases, part.axis), plays, part, only, nthread=nthread,
+        bases.among(model, part.axis), plays, part, only, nthread=nthread,
         told=(lambda n: told(part_name(part.axis), n)) if told else None,
     )  # fmt: skip
-    base = base_refit(search, bases.get(part.axis))
+    base = base_refit(search, bases.values.get(part.axis))
     tried = len(search.library.candidates)
     refits: list[Refit] = []
     floor = floor_known(plays)
@@ -146,7 +139,7 @@ def _positions(model: Model, part: AxisPart) -> list[str]:
 
 def _better_base(search: Search, base: Refit, refits: Sequence[Refit]) -> Refit:
     """The base from the best refits' base values, if that is lower: an effect must not be named for a better start."""
-    again = base_from(search, [r.values for r in sorted(refits, key=lambda r: r.overall)[:BASE_STARTS]])
+    again = base_from(search, [r.values for r in sorted(refits, key=lambda r: r.overall)[:STARTS]])
     if again.overall < base.overall:
         return again
     search.settle_at(base)

@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One axis at a time: its signals, its base values, its candidates, and the refits of all of them.
+"""One axis at a time: its signals, its candidates, and the refits of all of them.
 
 Axes hardly couple, so an axis whose signals the model explains needs no candidates, and the others are searched with
 half the values.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from scipy.stats import qmc
 
-from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, part_name, values_of
+from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, values_of
+from eps_tunnel_analysis.diagnose.base_refit import base_starts
 from eps_tunnel_analysis.diagnose.candidates import Library, library
 from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit
 from eps_tunnel_analysis.diagnose.samples import begun, floors, kept_samples, steady_efforts
@@ -23,17 +22,12 @@ from eps_tunnel_analysis.plays import Play
 from labyrinth_sim.effect import rivals
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
-from labyrinth_sim.trials import Array
 
 COARSE = 0.005  # s, MuJoCo's step while searching
 FINE = 0.0025  # s, where that errs
 EXACT = 0.00125  # s, while judging; at 2.5 ms a torque that saturates in quick motion errs by half a floor
-BASE_LOOKS = 64  # values of the base tried before it is descended, and
-BASE_STARTS = 5  # how many of them are descended
 REBASED = 3  # refits whose base values are sought anew, each from
 REBASE_STARTS = 3  # starts, its own among them
-APART = 0.1  # of the bounds' span, between starts
-NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 SHORTLIST = 12  # candidates refitted from their looks
 LOOKS_EACH = 2
 ROUNDS = 6
@@ -118,72 +112,6 @@ def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
     return [i for i, name in enumerate(signals) if name in which]
 
 
-def base_refit(search: Search, known: Mapping[str, float] | None = None, rounds: int = 8) -> Refit:
-    """The base values alone: descended from where the model has them and from the best of many others.
-
-    Args:
-        known: what such a search found already; then from there instead of from many others.
-    """
-    if known is None:
-        return base_from(search, _base_starts(search, search.start, BASE_STARTS), rounds)
-    found = search.start.copy()
-    found[: len(search.library.base)] = [known[name] for name in search.library.base]
-    return base_from(search, [search.start, found], rounds)
-
-
-def fitted_bases(
-    model: Model,
-    plays: Sequence[Play],
-    parts: Sequence[AxisPart],
-    nthread: int = 0,
-    told: Callable[[str, int], None] | None = None,
-) -> dict[str, dict[str, float]]:
-    """Axis -> its base values refitted alone, by full name; nothing for one axis, which has no others."""
-    found: dict[str, dict[str, float]] = {}
-    for part in parts if len(parts) > 1 else ():
-        count = partial(told, part_name(part.axis)) if told else None
-        refit = base_refit(search := axis_search(model, plays, part, [], nthread=nthread, told=count))
-        found[part.axis] = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
-    return found
-
-
-def among(model: Model, bases: Mapping[str, Mapping[str, float]], axis: str) -> Model:
-    """The model as one axis is searched on it: the others move as they do, for what couples to them turns along."""
-    others = {name: value for other, values in bases.items() if other != axis for name, value in values.items()}
-    return model.with_values(others, "refitted")
-
-
-def _base_starts(search: Search, values: Array, keep: int) -> list[Array]:
-    """(K,) values, and those with other base values that fit best, out of many, each from a valley of its own."""
-    size = len(search.library.base)
-    drawn = qmc.Sobol(size, rng=0, scramble=True).random(BASE_LOOKS) if size else np.empty((0, 0))
-    span = (search.high - search.low)[:size]
-    points = np.tile(values, (len(drawn) + 1, 1))
-    near = len(drawn) // 2
-    points[1 : near + 1, :size] = search.start[:size] + (drawn[:near] - 0.5) * NEAR * span
-    points[near + 1 :, :size] = search.low[:size] + drawn[near:] * span
-    points = np.clip(points, search.low, search.high)
-    cost = np.mean(search.residuals(points)[:, ~search.kept] ** 2, axis=1)
-    cost[0] = -1.0  # the given ones are tried in any case
-    chosen: list[Array] = []
-    for i in np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable"):
-        if all(np.any(np.abs(points[i] - other)[:size] > APART * span) for other in chosen):
-            chosen.append(points[i])
-    return chosen[:keep]
-
-
-def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit:
-    """The base values alone, descended from (K,) values whose effects do not count."""
-    size = len(search.library.base)
-    starts = [np.concatenate([point[:size], search.start[size:]]) for point in points]
-    early = search.refit([((), point) for point in starts], max(1, rounds // 2))
-    lowest = min(early, key=lambda r: r.cost)
-    coarse = search.refit([((), lowest.values)], rounds)[0]
-    found = search.judged([((), coarse.values)], rounds)[0]
-    search.settle_at(found)
-    return found
-
-
 def next_refits(search: Search, on: Sequence[Refit], shortlist: int = SHORTLIST, unless: float = np.inf) -> list[Refit]:
     """Every candidate refitted on top of refits: looks, then descents of the most promising; best first.
 
@@ -234,7 +162,7 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     size = len(search.library.base)
     jobs: list[Job] = []
     for refit in refits[:REBASED] if size else ():
-        points = _base_starts(search, refit.values, REBASE_STARTS)[1:]
+        points = base_starts(search, refit.values, REBASE_STARTS)[1:]
         others = [np.concatenate([r.values[:size], refit.values[size:]]) for r in refits[:REBASED] if r is not refit]
         jobs += [(tuple(search.library.find(n) for n in refit.effects), point) for point in (*points, *others)]
     for refit in search.best_of(jobs, ROUNDS) if jobs else []:

@@ -9,8 +9,9 @@ import numpy as np
 
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_parts, ball_part, fitted_bases
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_parts, ball_part
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
+from eps_tunnel_analysis.diagnose.bases import fitted_bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
@@ -106,7 +107,7 @@ def diagnose(
     experiment = None
     if experiments and kind == "undecided":
         experiment = next_experiment(axes[: len(moved)], base_model, stated, floor_known(plays))
-    evaluations = sum(axis.search.evaluations for axis in axes)
+    evaluations = bases.evaluations + sum(axis.search.evaluations for axis in axes)
     verdict = Verdict(
         verdict=kind,
         effects=named,
