@@ -22,6 +22,7 @@ from labyrinth_sim.trials import Array
 # MuJoCo would otherwise write its warnings to a file in the working folder; `Engine.check` reports what they are about.
 mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
 
+Columns = slice | NDArray[np.intp]
 LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
 
 
@@ -99,7 +100,8 @@ class Engine:
             self._switch(off)
         for i, controller in enumerate(self._controllers):
             if controller:
-                controller.sample(np.where(off[:, i], 0.0, self._error(i, target[:, i])))
+                error = self._error(i, target[:, i])
+                controller.sample(np.where(off[:, i], 0.0, error) if self._any_off else error)
                 if self._any_off:
                     controller.restart(off[:, i])
             if not self._errors[i]:
@@ -115,7 +117,7 @@ class Engine:
     def _control(self, channel: int, target: Array, off: NDArray[np.bool_]) -> None:
         controller = self._controllers[channel]
         control = controller(target) if controller else target
-        self._ctrl[:, self.plan.drives[channel][2].actuator] = np.where(off, 0.0, control)
+        self._ctrl[:, self.plan.drives[channel][2].actuator] = np.where(off, 0.0, control) if self._any_off else control
 
     def _before_step(self, target: Array, off: NDArray[np.bool_]) -> None:
         for i, (_, _, site) in enumerate(self.plan.drives):
@@ -172,14 +174,14 @@ class Engine:
             seen[:, -2:] = self.ball()[:, :2]
         return seen
 
-    def _columns(self, measured: Sequence[tuple[str, int]]) -> list[tuple[Array, list[int], list[int]]]:
+    def _columns(self, measured: Sequence[tuple[str, int]]) -> list[tuple[Array, Columns, Columns]]:
         """What is measured, gathered from each array at once: the array, its columns, and theirs among the signals."""
         sources = {"position": self.live.qpos, "velocity": self.live.qvel, "torque": self.live.actuator}
         found = []
         for quantity, source in sources.items():
             columns = [i for i, (q, _) in enumerate(measured) if q == quantity]
             if columns:
-                found.append((source, [measured[i][1] for i in columns], columns))
+                found.append((source, _run_of([measured[i][1] for i in columns]), _run_of(columns)))
         return found
 
     def ball(self) -> Array:
@@ -193,6 +195,14 @@ class Engine:
         """Puts the balls, at rest, at `ball_x`, `ball_y` (nsim,) m, or where the MJCF has them."""
         place_ball(self._ball, self.plan.mj, self.live.qpos, given)
         self.live.qvel[:, self._ball.ball_dof : self._ball.ball_dof + 6] = 0.0
+
+
+def _run_of(columns: list[int]) -> Columns:
+    """The columns as a slice where they are evenly spaced, for that copies nothing twice."""
+    apart = columns[1] - columns[0] if len(columns) > 1 else 1
+    if apart > 0 and columns == list(range(columns[0], columns[-1] + 1, apart)):
+        return slice(columns[0], columns[-1] + 1, apart)
+    return np.array(columns)
 
 
 def _address(mj: mujoco.MjModel, measured: Measured) -> tuple[str, int]:
