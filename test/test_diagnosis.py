@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from short_sequence import SHORT
 
 from eps_tunnel_analysis.cli.main import main
+from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
 from eps_tunnel_analysis.plays import Play
 from eps_tunnel_analysis.sequence import Command
@@ -25,23 +26,25 @@ from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.trials import Trials
 
-SIGNALS = ("motor_x", "board_x", "motor_x_effort")
+STEPS = [f"    - step: {{to_deg: {to}, lasts_s: {lasts}}}" for to, lasts in ((4, 1.0), (-4, 1.0), (4, 2.0))]
+BOTH = SHORT.replace("    - hold: {lasts_s: 4.0}", "\n".join(STEPS))
 FEW = ("gravity_load", "return_spring", "coulomb_friction", "sensor_bias", "positioning_error", "sensor_delay")
 
 
-def command() -> Command:
-    return parse_sequence(yaml.safe_load(SHORT), "short", "short").commands[0]
+def command(text: str = SHORT) -> Command:
+    return parse_sequence(yaml.safe_load(text), "short", "short").commands[0]
 
 
-def recorded(*effects: str, seed: int = 0) -> Run:
-    return run_offline(load_testbed("healthy", effects), *command().sample(100.0), 3, seed)
+def recorded(*effects: str, seed: int = 0, text: str = SHORT) -> Run:
+    return run_offline(load_testbed("healthy", effects), *command(text).sample(100.0), 3, seed)
 
 
-def as_play(run: Run) -> Play:
-    time, targets = command().sample(100.0)
-    raw = (run.motor, run.board, run.effort)
-    values = np.stack([[np.interp(time, run.stamps[i], part[i, :, 0]) for part in raw] for i in range(3)])
-    trials = Trials(time, SIGNALS, ("rad", "rad", "N m"), values.swapaxes(1, 2), ("motor_x", "motor_y"),
+def as_play(run: Run, axes: str = "x", text: str = SHORT) -> Play:
+    time, targets = command(text).sample(100.0)
+    raw = [part[:, :, "xy".index(axis)] for axis in axes for part in (run.motor, run.board, run.effort)]
+    values = np.stack([[np.interp(time, run.stamps[i], part[i]) for part in raw] for i in range(3)])
+    names = tuple(name for axis in axes for name in (f"motor_{axis}", f"board_{axis}", f"motor_{axis}_effort"))
+    trials = Trials(time, names, ("rad", "rad", "N m") * len(axes), values.swapaxes(1, 2), ("motor_x", "motor_y"),
                     np.tile(targets, (3, 1, 1)))  # fmt: skip
     return Play("short", trials)
 
@@ -89,6 +92,14 @@ def test_what_no_effect_describes_is_called_unknown(effect: str) -> None:
     v = diagnosed(effect).verdict
     assert v.verdict == "unknown"
     assert v.effects == ()
+
+
+def test_an_axis_that_is_turned_along_is_told_though_the_model_is_wrong_about_the_other_s_drive() -> None:
+    model = wrong_model().with_values({"drive.y.p": 13.0, "drive.y.delay": 0.045})
+    play = as_play(recorded("cross_coupling.x", text=BOTH), "xy", BOTH)
+    v = diagnose(model, [play], only=["cross_coupling"]).verdict
+    assert v.effects == ("cross_coupling.x",)
+    assert v.floor["x"][1] < CALIBRATION.gate < v.floor["x"][0]
 
 
 def test_a_gain_that_is_known_of_a_recording_is_played_with_it() -> None:

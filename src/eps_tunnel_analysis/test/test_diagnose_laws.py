@@ -10,6 +10,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eps_tunnel_analysis.diagnose.bases import Bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.candidates import library, starts
 from eps_tunnel_analysis.diagnose.experiment import Experiment, Harsh, chosen, harshness, left_after_fit
@@ -98,6 +99,14 @@ def test_a_drift_is_always_unknown_and_uneven_timing_never_complete(base: float,
         assert sum(found.values()) == pytest.approx(1.0)
         explained = base > 10.0 and best < 10.0
         assert max(found, key=lambda n: found[n]) == ("a.x" if explained and not drifts else UNKNOWN)
+
+
+def test_an_axis_is_searched_among_the_others_with_their_refitted_values() -> None:
+    model = load_model("labyrinth_manual")
+    bases = Bases({"x": {"drive.x.p": 11.0, "drive.x.delay": 0.011}, "y": {"drive.y.p": 12.0}})
+    own, among = model.values(), bases.among(model, "x").values()
+    assert {name for name in own if among[name] != own[name]} == {"drive.y.p"}
+    assert among["drive.y.p"] == 12.0
 
 
 def test_axes_are_joined_as_products() -> None:

@@ -17,7 +17,7 @@ class Bases:
     """Base values of several axes, each refitted alone.
 
     Attributes:
-        values: axis -> full name -> value; empty for one axis, which has no others.
+        values: axis -> full name -> value, of axes that have any; empty for one axis, which has no others.
         evaluations: roll-outs that it took.
     """
 
@@ -40,7 +40,7 @@ def fitted_bases(
     """The base values of every axis, with the other axes as the model has them."""
     found: dict[str, dict[str, float]] = {}
     evaluations = 0
-    for part in parts if len(parts) > 1 else ():
+    for part in [p for p in parts if p.base] if len(parts) > 1 else ():
         count = partial(told, part_name(part.axis)) if told else None
         search = axis_search(model, plays, part, [], nthread=nthread, told=count)
         refit = base_refit(search)
