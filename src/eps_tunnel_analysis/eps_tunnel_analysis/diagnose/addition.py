@@ -3,15 +3,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any
 
-from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, axis_parts, axis_search, ball_part
-from eps_tunnel_analysis.diagnose.ball import BALL, part_name, sees_ball, split, without_ball
+from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, Progress, axis_parts, axis_search, ball_part
+from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.base_refit import base_refit
 from eps_tunnel_analysis.diagnose.bases import fitted_bases
 from eps_tunnel_analysis.diagnose.candidates import Candidate
-from eps_tunnel_analysis.diagnose.diagnose import Progress, compared, errors_of, is_moved
+from eps_tunnel_analysis.diagnose.diagnose import compared, errors_of, is_moved
 from eps_tunnel_analysis.diagnose.refit import Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.verdict import Errors
@@ -88,12 +87,11 @@ def add_effects(
     parts = [p for p in axis_parts(model, alone) if is_moved(model, p, alone)]
     bases = fitted_bases(model, alone, parts, nthread, told)
     for part in [*parts, ball_part()] if rolls else parts:
-        count = partial(told, part_name(part.axis)) if told else None
         ball = part.axis == BALL
         # It rolls as the axes tilt, so it is fitted last.
         search = axis_search(final if ball else bases.among(model, part.axis), plays if ball else alone, part,
                              only=on_ball if ball else on_axes if rolls else [*on_axes, *on_ball],
-                             nthread=nthread, told=count)  # fmt: skip
+                             nthread=nthread, told=told)  # fmt: skip
         mine = [c for c in search.library.candidates if c.name in left]
         left = [n for n in left if n not in [c.name for c in mine]]
         base = base_refit(search, bases.values.get(part.axis))

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one axis lacks: the course from its base values over single effects to several, and the probabilities."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_search, next_refits, rival_refits
-from eps_tunnel_analysis.diagnose.ball import part_name
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_search, next_refits, rival_refits
 from eps_tunnel_analysis.diagnose.base_refit import STARTS, base_from, base_refit
 from eps_tunnel_analysis.diagnose.bases import Bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
@@ -27,9 +26,6 @@ RUNNING = 4.0  # times what the best leaves
 PROMISE = 0.6  # of the cost: where little is left, one more effect is looked for only if a look promises less
 LEAST_INDEPENDENT = 30.0  # samples of a play: what is left may be correlated for long and still tells models apart
 MOST_INDEPENDENT = 100.0  # no model is so exact that a few percent of what noise leaves would tell it from another
-
-Progress = Callable[[str, int], None]
-"""Told what is being done and how many roll-outs were made."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +75,7 @@ def diagnose_axis(
         bases: of all axes, where there are several.
     """
     bases = bases or Bases()
-    search = axis_search(
-        bases.among(model, part.axis), plays, part, only, nthread=nthread,
-        told=(lambda n: told(part_name(part.axis), n)) if told else None,
-    )  # fmt: skip
+    search = axis_search(bases.among(model, part.axis), plays, part, only, nthread=nthread, told=told)
     base = base_refit(search, bases.values.get(part.axis))
     tried = len(search.library.candidates)
     refits: list[Refit] = []

@@ -7,10 +7,11 @@ half the values.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, values_of
+from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, part_name, values_of
 from eps_tunnel_analysis.diagnose.base_refit import base_starts
 from eps_tunnel_analysis.diagnose.candidates import Library, library
 from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit
@@ -31,6 +32,9 @@ REBASE_STARTS = 3  # starts, its own among them
 SHORTLIST = 12  # candidates refitted from their looks
 LOOKS_EACH = 2
 ROUNDS = 6
+
+Progress = Callable[[str, int], None]
+"""Told what is being done and how many roll-outs were made."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ def axis_search(
     only: Sequence[str] | None = None,
     timestep: float | None = COARSE,
     nthread: int = 0,
-    told: Callable[[int], None] | None = None,
+    told: Progress | None = None,
 ) -> Search:
     """A search over the candidates of one axis."""
     whole = library(model, part.base, part.axis == BALL, only)
@@ -105,7 +109,8 @@ def axis_search(
     if part.axis == BALL:
         scale = np.hypot(scale, inexactness(objective.samples * plays[0].trials.step))
     kept = kept_samples(objective, plays)
-    return Search(lib, levels, scale, kept, used, told, BALL_DIFFERENCE if part.axis == BALL else DIFFERENCE)
+    count = partial(told, part_name(part.axis)) if told else None
+    return Search(lib, levels, scale, kept, used, count, BALL_DIFFERENCE if part.axis == BALL else DIFFERENCE)
 
 
 def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:

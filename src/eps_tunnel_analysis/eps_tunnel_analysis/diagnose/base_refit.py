@@ -17,19 +17,20 @@ LOOKS = 64  # values of the base tried before it is descended, and
 STARTS = 5  # how many of them are descended
 APART = 0.1  # of the bounds' span, between starts
 NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
+ROUNDS = 8  # of the last descent, half of them for the first ones
 
 
-def base_refit(search: Search, known: Mapping[str, float] | None = None, rounds: int = 8) -> Refit:
+def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refit:
     """The base values alone: descended from where the model has them and from the best of many others.
 
     Args:
         known: what such a search found already; then from there instead of from many others.
     """
     if known is None:
-        return base_from(search, base_starts(search, search.start, STARTS), rounds)
+        return base_from(search, base_starts(search, search.start, STARTS))
     found = search.start.copy()
     found[: len(search.library.base)] = [known[name] for name in search.library.base]
-    return base_from(search, [search.start, found], rounds)
+    return base_from(search, [search.start, found])
 
 
 def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
@@ -51,13 +52,13 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     return chosen[:keep]
 
 
-def base_from(search: Search, points: Sequence[Array], rounds: int = 8) -> Refit:
+def base_from(search: Search, points: Sequence[Array]) -> Refit:
     """The base values alone, descended from (K,) values whose effects do not count."""
     size = len(search.library.base)
     starts = [np.concatenate([point[:size], search.start[size:]]) for point in points]
-    early = search.refit([((), point) for point in starts], max(1, rounds // 2))
+    early = search.refit([((), point) for point in starts], ROUNDS // 2)
     lowest = min(early, key=lambda r: r.cost)
-    coarse = search.refit([((), lowest.values)], rounds)[0]
-    found = search.judged([((), coarse.values)], rounds)[0]
+    coarse = search.refit([((), lowest.values)], ROUNDS)[0]
+    found = search.judged([((), coarse.values)], ROUNDS)[0]
     search.settle_at(found)
     return found

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """All axes before one of them is searched: what couples to another axis turns along with that as it really moves."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_search
-from eps_tunnel_analysis.diagnose.ball import part_name
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_search
 from eps_tunnel_analysis.diagnose.base_refit import base_refit
 from eps_tunnel_analysis.plays import Play
 from labyrinth_sim.model import Model
@@ -35,14 +33,13 @@ def fitted_bases(
     plays: Sequence[Play],
     parts: Sequence[AxisPart],
     nthread: int = 0,
-    told: Callable[[str, int], None] | None = None,
+    told: Progress | None = None,
 ) -> Bases:
     """The base values of every axis, with the other axes as the model has them."""
     found: dict[str, dict[str, float]] = {}
     evaluations = 0
     for part in [p for p in parts if p.base] if len(parts) > 1 else ():
-        count = partial(told, part_name(part.axis)) if told else None
-        search = axis_search(model, plays, part, [], nthread=nthread, told=count)
+        search = axis_search(model, plays, part, [], nthread=nthread, told=told)
         refit = base_refit(search)
         found[part.axis] = dict(zip(search.library.base, (float(v) for v in refit.values), strict=True))
         evaluations += search.evaluations

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from eps_tunnel_analysis.compare import Comparison, compare
-from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, Progress, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, axis_parts, ball_part
+from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, diagnose_axis, floor_known
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_parts, ball_part
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.bases import fitted_bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
