@@ -15,6 +15,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from short_sequence import SHORT
 
 from eps_tunnel_analysis.cli.main import main
+from eps_tunnel_analysis.diagnose.axis_search import axis_parts
+from eps_tunnel_analysis.diagnose.bases import fitted_bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
 from eps_tunnel_analysis.plays import Play
@@ -100,6 +102,17 @@ def test_an_axis_that_is_turned_along_is_told_though_the_model_is_wrong_about_th
     v = diagnose(model, [play], only=["cross_coupling"]).verdict
     assert v.effects == ("cross_coupling.x",)
     assert v.floor["x"][1] < CALIBRATION.gate < v.floor["x"][0]
+
+
+def test_the_other_axes_are_refitted_first_only_where_something_couples() -> None:
+    play = as_play(recorded(text=BOTH), "xy", BOTH)
+    model = wrong_model()
+    parts = axis_parts(model, [play])
+    assert fitted_bases(model, [play], parts, ["gravity_load"]).values == {}
+    coupled = model.with_effect("cross_coupling", "x", {"share": 0.0})
+    among = fitted_bases(coupled, [play], parts, ["gravity_load"]).among(coupled, "y").values()
+    assert among["drive.x.p"] == pytest.approx(20.0, rel=0.1)
+    assert among["drive.y.p"] == model.values()["drive.y.p"]
 
 
 def test_a_gain_that_is_known_of_a_recording_is_played_with_it() -> None:

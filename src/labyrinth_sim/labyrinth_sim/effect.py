@@ -89,6 +89,7 @@ class Effect:
         separated_by: the experiment that tells them apart.
         where: what it acts on: each axis, each measured position, or the ball.
         needs: "belt", "other_axis"; what the rig must have beyond `where`.
+        couples: whether what it does to its axis depends on how the other axes move.
         order: position among effects of the same stage, low first.
         touches: MuJoCo model fields that `step` writes; set back to their base before every step.
         command: makes the filter of a target (rad).
@@ -112,6 +113,7 @@ class Effect:
     separated_by: str
     where: Where = "axis"
     needs: tuple[str, ...] = ()
+    couples: bool = False
     order: int = 0
     touches: tuple[str, ...] = ()
     command: "Callable[[Values, Site, float, Array], Filter | None] | None" = None

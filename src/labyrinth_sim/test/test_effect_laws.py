@@ -143,6 +143,20 @@ def test_the_declared_mark_shows(effect: Effect, scenes: dict[str, Scene], witho
     assert max(scores.values()) > 0.4, scores
 
 
+def test_it_hears_of_the_other_axes_if_and_only_if_it_says_so(
+    effect: Effect, scenes: dict[str, Scene], without: dict[str, np.ndarray]
+) -> None:
+    scene = scenes["labyrinth"]
+    places = scene.model.places(effect) if home(effect) == "labyrinth" else ()
+    other_still = replace(scene, commands=scene.commands * [1.0, 0.0])
+    for place in (p for p in places if p in ("x", *(m.signal for m in scene.model.rig.axis("x").measured))):
+        own = scene.column(place)
+        model = scene.model.with_effect(effect, place)
+        heard = scene.play(model)[0, :, own] - other_still.play(model)[0, :, own]
+        anyway = without["labyrinth"][:, own] - other_still.play(scene.model)[0, :, own]
+        assert (np.abs(heard - anyway).max() > RESOLUTION) == effect.couples
+
+
 def test_a_known_value_is_recovered(effect: Effect, scenes: dict[str, Scene]) -> None:
     scene = scenes[home(effect)]
     p = effect.main

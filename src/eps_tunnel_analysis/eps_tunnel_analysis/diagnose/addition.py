@@ -85,7 +85,7 @@ def add_effects(
     rolls = bool(on_ball) and sees_ball(model, plays)
     alone = [without_ball(p) for p in plays]
     parts = [p for p in axis_parts(model, alone) if is_moved(model, p, alone)]
-    bases = fitted_bases(model, alone, parts, nthread, told)
+    bases = fitted_bases(model, alone, parts, on_axes, nthread, told)
     for part in [*parts, ball_part()] if rolls else parts:
         ball = part.axis == BALL
         # It rolls as the axes tilt, so it is fitted last.

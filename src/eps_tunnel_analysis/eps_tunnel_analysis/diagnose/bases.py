@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All axes before one of them is searched: what couples to another axis turns along with that as it really moves."""
+"""All axes before one of them is searched: what couples to another axis turns along with that as it really moves.
 
-from collections.abc import Mapping, Sequence
+Where nothing couples, the others need no such care.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_search
 from eps_tunnel_analysis.diagnose.base_refit import base_refit
 from eps_tunnel_analysis.plays import Play
+from labyrinth_sim.effect import effects
 from labyrinth_sim.model import Model
 
 
@@ -15,7 +19,7 @@ class Bases:
     """Base values of several axes, each refitted alone.
 
     Attributes:
-        values: axis -> full name -> value, of axes that have any; empty for one axis, which has no others.
+        values: axis -> full name -> value, of axes that have any; empty where no axis is moved by another.
         evaluations: roll-outs that it took.
     """
 
@@ -32,15 +36,27 @@ def fitted_bases(
     model: Model,
     plays: Sequence[Play],
     parts: Sequence[AxisPart],
+    only: Iterable[str] | None = None,
     nthread: int = 0,
     told: Progress | None = None,
 ) -> Bases:
-    """The base values of every axis, with the other axes as the model has them."""
+    """The base values of every axis, with the other axes as the model has them.
+
+    Args:
+        only: names of the effects that will be considered; all of the library by default.
+    """
     found: dict[str, dict[str, float]] = {}
     evaluations = 0
-    for part in [p for p in parts if p.base] if len(parts) > 1 else ():
+    for part in [p for p in parts if p.base] if len(parts) > 1 and _coupled(model, only) else ():
         search = axis_search(model, plays, part, [], nthread=nthread, told=told)
         refit = base_refit(search)
         found[part.axis] = dict(zip(search.library.base, (float(v) for v in refit.values), strict=True))
         evaluations += search.evaluations
     return Bases(found, evaluations)
+
+
+def _coupled(model: Model, only: Iterable[str] | None) -> bool:
+    """Whether an effect that the model has, or may get, couples axes."""
+    known = effects()
+    considered = known if only is None else set(only) & set(known)
+    return any(use.effect.couples for use in model.effects) or any(known[name].couples for name in considered)

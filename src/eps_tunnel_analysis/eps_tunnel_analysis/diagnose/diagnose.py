@@ -88,7 +88,7 @@ def diagnose(
             "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
         )
     left, names = once or {}, on_axes if rolls else only
-    bases = fitted_bases(model, alone, moved, nthread, told)
+    bases = fitted_bases(model, alone, moved, names, nthread, told)
     axes = tuple(diagnose_axis(model, alone, p, names, nthread, told, left.get(p.axis, 0.0), bases) for p in moved)
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.

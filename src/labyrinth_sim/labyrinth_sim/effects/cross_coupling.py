@@ -60,6 +60,7 @@ EFFECT = Effect(
     confused_with=("board_not_level", "gravity_load"),
     separated_by="Move the axes one after the other: what this axis does while only the other moves is coupling.",
     needs=("other_axis",),
+    couples=True,
     order=60,
     command=command,
     spec=spec,

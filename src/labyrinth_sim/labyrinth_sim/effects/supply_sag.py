@@ -63,6 +63,7 @@ EFFECT = Effect(
     shows="passing",
     confused_with=("torque_saturation", "rate_limit", "viscous_friction"),
     separated_by="Step one axis alone, then both together: only sag makes the first slower because of the second.",
+    couples=True,
     touches=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     step=step,
 )
