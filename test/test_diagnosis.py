@@ -94,6 +94,14 @@ def test_what_no_effect_describes_is_called_unknown(effect: str) -> None:
     v = diagnosed(effect).verdict
     assert v.verdict == "unknown"
     assert v.effects == ()
+    assert not any("taken for known" in note for note in v.notes)
+
+
+def test_a_value_that_the_model_states_wrongly_is_doubted_where_no_effect_explains_what_is_left() -> None:
+    weaker = wrong_model().with_values({"drive.x.torque": 1.0})
+    v = diagnose(weaker, [as_play(recorded())], only=["gravity_load"]).verdict
+    assert v.verdict == "unknown"
+    assert v.notes[0].startswith("drive.x.torque is taken for known, 1 N m (set by hand).")
 
 
 def test_an_axis_that_is_turned_along_is_told_though_the_model_is_wrong_about_the_other_s_drive() -> None:

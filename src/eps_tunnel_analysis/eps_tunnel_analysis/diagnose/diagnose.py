@@ -13,6 +13,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_pa
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.bases import fitted_bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
+from eps_tunnel_analysis.diagnose.doubts import doubts
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
 from eps_tunnel_analysis.diagnose.refit import Refit
@@ -105,6 +106,8 @@ def diagnose(
     given, before, after = (compared(m, plays if rolls else alone) for m in (model, base_model, final))
     judged = [compared(m, held if rolls else [without_ball(p) for p in held]) for m in (model, base_model, final)]
     experiment = None
+    doubted = [d for a in axes[: len(moved)] if kind == "unknown" and _unexplained(a)
+               for d in doubts(bases.among(model, a.part.axis), alone, a, nthread, told)]  # fmt: skip
     if experiments and kind == "undecided":
         experiment = next_experiment(axes[: len(moved)], base_model, stated, floor_known(plays))
     evaluations = bases.evaluations + sum(axis.search.evaluations for axis in axes)
@@ -127,7 +130,7 @@ def diagnose(
         evaluations=evaluations,
         seconds=time.monotonic() - started,
         next_experiment=experiment.name if experiment else None,
-        notes=_notes(model, parts, moved, plays, axes[: len(moved)]),
+        notes=(*(d.sentence for d in doubted), *_notes(model, parts, moved, plays, axes[: len(moved)])),
     )
     return Diagnosis(verdict, axes, base_model, final, given[0], before[0], after[0], experiment)
 
@@ -140,6 +143,11 @@ def _together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
     likely = [max(axis.probabilities, key=lambda name: axis.probabilities[name]) for axis in axes]
     named = any(name not in (NONE, UNKNOWN) for name in likely)
     return joint([axis.timed if named else axis.probabilities for axis in axes])
+
+
+def _unexplained(axis: AxisDiagnosis) -> bool:
+    """Whether more is left on an axis than noise."""
+    return axis.best.overall > CALIBRATION.gate
 
 
 def _partly(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values that a model states and a diagnosis takes for known: which, if wrong, would explain what no effect does.
+
+A score test tells which are worth a refit: how much of what is left goes away along each value's slope, beyond what
+the base values take away.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_search
+from eps_tunnel_analysis.diagnose.base_refit import base_from
+from eps_tunnel_analysis.fit.free import by_axis
+from eps_tunnel_analysis.plays import Play
+from labyrinth_sim.model import Model
+
+PROMISING = 0.1  # of the misfit, to first order
+REFITTED = 2  # of the promising values, each alone
+FARTHEST = 4.0  # times a stated value, at the start of its refit
+TELLING = 0.5  # of the misfit that the best effect leaves; a value that leaves more is not doubted
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A value that would explain more than any effect if it were another.
+
+    Attributes:
+        name, unit, source: of the parameter, as the model states it.
+        given, fitted: the model's value, and the one that fits, in `unit`.
+        before, after: mean square misfit in units of the noise floor, of the best effect and with this value fitted.
+    """
+
+    name: str
+    unit: str
+    source: str
+    given: float
+    fitted: float
+    before: float
+    after: float
+
+    @property
+    def sentence(self) -> str:
+        """What to check, in words."""
+        return (
+            f"{self.name} is taken for known, {self.given:.3g} {self.unit} ({self.source}). If it were "
+            f"{self.fitted:.3g}, {self.after:.2g} times the noise floor would be left, against {self.before:.2g} "
+            "with the best effect: check it."
+        )
+
+
+def doubts(
+    model: Model, plays: Sequence[Play], axis: AxisDiagnosis, nthread: int = 0, told: Progress | None = None
+) -> list[Doubt]:
+    """Values of one axis that explain what its effects do not, the likeliest first.
+
+    Args:
+        model: that the axis was searched on.
+        told: what is being done and how many roll-outs were made.
+    """
+    part, best = axis.part, axis.best
+    known = {name for play in plays for name in play.known}
+    stated = [n for n in model.parameters() if n not in part.base and n not in known]
+    held = next((p.free for p in by_axis(model, stated, plays, None) if p.axis == part.axis), ())
+    infos = model.parameters()
+    found = []
+    for name, value in _promising(model, plays, axis, held, nthread)[:REFITTED] if held else ():
+        info = infos[name]
+        search = axis_search(model, plays, _with(part, (name,)), [], nthread=nthread, told=told)
+        last = len(part.base)
+        points = np.tile(search.start, (3, 1))
+        points[:, :last] = axis.base.values[:last]
+        if info.value > 0.0:
+            value = min(max(value, info.value / FARTHEST), info.value * FARTHEST)
+        points[:, last] = np.clip([value, 2.0 * info.value, 0.5 * info.value], info.low, info.high)
+        refit = base_from(search, list(points))
+        if refit.overall < TELLING * best.overall:
+            fitted = float(refit.values[last])
+            found.append(Doubt(name, info.unit, info.source, info.value, fitted, best.overall, refit.overall))
+    return sorted(found, key=lambda d: d.after)
+
+
+def _promising(
+    model: Model, plays: Sequence[Play], axis: AxisDiagnosis, held: Sequence[str], nthread: int
+) -> list[tuple[str, float]]:
+    """Names, and the value that is best to first order; the most promising first."""
+    search = axis_search(model, plays, _with(axis.part, held), [], nthread=nthread)
+    size = len(axis.part.base)
+    values = np.clip(search.start, search.low, search.high)  # a mass of 0 is stated as the smallest
+    values[:size] = axis.base.values[:size]
+    here = search.at(values, axis.base)
+    moved = search.moved(here)
+    steps = np.diagonal(moved - values)
+    slopes = (search.residuals(moved) - here.residuals)[:, ~search.kept]
+    left = here.residuals[~search.kept]
+    basis = np.linalg.qr(np.nan_to_num(slopes[:size]).T)[0]
+    gains = []
+    for column, (name, slope) in enumerate(zip(held, slopes[size:], strict=True), size):
+        own = slope - basis @ (basis.T @ slope)
+        along = float(own @ own)
+        if not (np.isfinite(along) and along > 0.0):
+            continue
+        wanted = values[column] - float(own @ left) / along * steps[column]
+        value = float(np.clip(wanted, search.low[column], search.high[column]))
+        # Of a parabola's fall that part which the bounds allow.
+        went = (value - values[column]) / (wanted - values[column])
+        gains.append(((2.0 - went) * went * float(own @ left) ** 2 / along / float(left @ left), name, value))
+    return [(name, value) for share, name, value in sorted(gains, reverse=True) if share > PROMISING]
+
+
+def _with(part: AxisPart, held: Sequence[str]) -> AxisPart:
+    return replace(part, base=(*part.base, *held))
