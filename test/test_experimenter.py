@@ -108,7 +108,7 @@ def test_a_hidden_effect_is_added_and_the_loop_ends_at_the_noise(tmp_path: Path)
 
 
 def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_picture(tmp_path: Path) -> None:
-    ending = ended(OfflineRig("cogging.x=strong"), tmp_path)
+    ending = ended(OfflineRig("cogging.x=strong"), tmp_path, ("gravity_load",))
     assert (ending.verdict, ending.effects) == ("unknown", ())
     assert "what no known effect explains" in notebook(tmp_path)
 
