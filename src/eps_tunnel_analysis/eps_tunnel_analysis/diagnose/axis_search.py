@@ -82,7 +82,6 @@ def axis_search(
     plays: Sequence[Play],
     part: AxisPart,
     only: Sequence[str] | None = None,
-    timestep: float | None = COARSE,
     nthread: int = 0,
     told: Progress | None = None,
 ) -> Search:
@@ -95,7 +94,7 @@ def axis_search(
         if candidate.name not in [c.name for c in mine]:
             whole = replace(whole, model=whole.model.without_effect(candidate.effect.name, candidate.place))
     lib = Library(whole.model, part.base, mine)
-    steps: dict[Level, float | None] = {"coarse": timestep, "fine": FINE, "exact": EXACT}
+    steps: dict[Level, float] = {"coarse": COARSE, "fine": FINE, "exact": EXACT}
     levels = {k: Objective(lib.model, lib.names, plays, part.signals, step, nthread) for k, step in steps.items()}
     objective = levels["coarse"]
     torque = [m.signal for m in model.rig.measured if m.quantity == "torque"]

@@ -139,9 +139,10 @@ class Search:
         early = best_by_set([*redone, *(r for r, bad in zip(looked, rough, strict=True) if not bad)])
         lowest = early[0].cost if early else np.inf
         going = [r for i, r in enumerate(early) if not r.converged and (i < keep or r.cost < HOPELESS * lowest)]
+        finer = {id(r) for r in redone}
         late: list[Refit] = []
         for level in ("coarse", "fine"):
-            mine = [r for r in going if any(r is other for other in redone) == (level == "fine")]
+            mine = [r for r in going if (id(r) in finer) == (level == "fine")]
             late += self.refit([(self._candidates(r), r.values) for r in mine], rounds, level)
         ordered = best_by_set([*early, *late])
         ordered = best_by_set([*ordered, *self._scanned(ordered[:keep])])
