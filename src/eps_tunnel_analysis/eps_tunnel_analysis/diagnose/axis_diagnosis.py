@@ -10,7 +10,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_se
 from eps_tunnel_analysis.diagnose.base_refit import STARTS, base_from, base_refit
 from eps_tunnel_analysis.diagnose.bases import Bases
 from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
-from eps_tunnel_analysis.diagnose.gate import allowed, gate
+from eps_tunnel_analysis.diagnose.gate import allowed, independent
 from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranked, penalty, rank
 from eps_tunnel_analysis.diagnose.refit import Refit
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
@@ -99,13 +99,13 @@ def diagnose_axis(
             best = _without_idle(search, fuller, refits, tried)
             if best is not fuller or best.overall > FAR * enough:
                 break
-    independent = _independent(search, _lowest([base, *refits]))
+    samples = _independent(search, _lowest([base, *refits]))
     differ = [(p, r) for p in plays for r in repeats(p.trials, _positions(model, part)) if r.sentence]
     odd, drifts = tuple(r for _, r in differ), any(r.drift for _, r in differ)
     uneven = any(r.jitter > p.timing for p, r in differ)
-    ranking, unknown = rank(base, refits, independent, tried, once, drifts, uneven, floor)
+    ranking, unknown = rank(base, refits, samples, tried, once, drifts, uneven, floor)
     probabilities = {r.name: r.probability for r in ranking} | {UNKNOWN: unknown}
-    even, unknown = rank(base, refits, independent, tried, once, drifts, False, floor)
+    even, unknown = rank(base, refits, samples, tried, once, drifts, False, floor)
     timed = {r.name: r.probability for r in even} | {UNKNOWN: unknown}
     return AxisDiagnosis(part, search, base, tuple(refits), tuple(ranking), probabilities, timed, odd)
 
@@ -164,6 +164,6 @@ def _without_idle(search: Search, found: Refit, singles: Sequence[Refit], tried:
 
 
 def _independent(search: Search, refit: Refit) -> float:
-    found = gate(refit.residuals, search.blocks, np.zeros(len(refit.residuals))).independent
+    found = independent(refit.residuals, search.blocks)
     plays = search.objective.rollouts.commands.shape[0]
     return min(max(found, plays * LEAST_INDEPENDENT), plays * MOST_INDEPENDENT)

@@ -5,8 +5,6 @@ A ranking always names somebody. So before anyone is named the base alone must f
 pass it; if nobody does, the answer is "unknown".
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,38 +13,9 @@ from eps_tunnel_analysis.fit.intervals import autocorrelation_length
 from labyrinth_sim.trials import Array
 
 
-@dataclass(frozen=True)
-class Gate:
-    """What is asked of residuals in units of the noise floor.
-
-    Attributes:
-        cost: mean square of the residuals.
-        independent: how many independent samples they are worth, by their autocorrelation.
-        correlation: the largest correlation of a signal's residuals with its command or the command's speed.
-    """
-
-    cost: float
-    independent: float
-    correlation: float
-
-    @property
-    def passes(self) -> bool:
-        """Nothing is left that noise, or what a good model leaves, would not leave."""
-        return self.cost <= CALIBRATION.gate
-
-
-def gate(residuals: Array, blocks: NDArray[np.int64], commands: Array) -> Gate:
-    """Judges residuals (R,) in units of the noise floor, in unbroken runs `blocks` (R,), under commands (R,) rad."""
-    lag = autocorrelation_length(residuals, blocks.astype(float))
-    correlation = 0.0
-    for block in np.unique(blocks):
-        part = blocks == block
-        e, u = residuals[part], commands[part]
-        for shape in (u, np.gradient(u) if len(u) > 1 else u):
-            if np.ptp(shape) > 0 and np.ptp(e) > 0:
-                correlation = max(correlation, abs(float(np.corrcoef(e, shape)[0, 1])))
-    cost = float(np.mean(residuals**2)) if len(residuals) else float("nan")
-    return Gate(cost, len(residuals) / (2.0 * lag + 1.0), correlation)
+def independent(residuals: Array, blocks: NDArray[np.int64]) -> float:
+    """How many independent samples residuals (R,), in unbroken runs `blocks` (R,), are worth."""
+    return len(residuals) / (2.0 * autocorrelation_length(residuals, blocks.astype(float)) + 1.0)
 
 
 def allowed(base: float) -> float:
