@@ -16,6 +16,7 @@ from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.parts import PLAIN
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.site import Site, axis_site, ball_site
+from labyrinth_sim.trials import Array
 
 if TYPE_CHECKING:
     from labyrinth_sim.model import Model
@@ -36,6 +37,11 @@ class Placed:
         """(nsim,) whether any value, full parameter name -> (nsim,), is not the one at which it vanishes."""
         switches = [p for p in self.effect.parameters if p.off is not None]
         return np.any([values[self.prefix + p.name] != p.off for p in switches], axis=0)
+
+
+def local_values(values: Values, prefix: str) -> dict[str, Array]:
+    """Of values by full name those under a prefix, as `backlash.x.`, by the rest of their names."""
+    return {name.removeprefix(prefix): numbers for name, numbers in values.items() if name.startswith(prefix)}
 
 
 @dataclass(frozen=True)

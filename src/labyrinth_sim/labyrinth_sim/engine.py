@@ -3,7 +3,6 @@
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
 import mujoco
@@ -11,12 +10,13 @@ import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
-from labyrinth_sim.build import Placed, Plan
-from labyrinth_sim.effect import Controller, Filter, Values
+from labyrinth_sim.build import Plan, local_values
+from labyrinth_sim.effect import Controller, Values
+from labyrinth_sim.first_state import place_ball
 from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Measured
-from labyrinth_sim.site import Site, ball_site
+from labyrinth_sim.site import ball_site
 from labyrinth_sim.trials import Array
 
 # MuJoCo would otherwise write its warnings to a file in the working folder; `Engine.check` reports what they are about.
@@ -47,14 +47,14 @@ class Engine:
         self._values = values
         self._set_fields(values)
         acting = plan.acting(values)
-        self._hooks = [(p, _local(values, p.prefix)) for p in acting if p.effect.step]
-        self._errors = [[(p, _local(values, p.prefix)) for p in acting if p.effect.error and p.site.channel == i]
+        self._hooks = [(p, local_values(values, p.prefix)) for p in acting if p.effect.step]
+        self._errors = [[(p, local_values(values, p.prefix)) for p in acting if p.effect.error and p.site.channel == i]
                         for i in range(len(plan.drives))]  # fmt: skip
         touched = {name for p, _ in self._hooks for name in p.effect.touches}
         self.live = Live(self.batch, self.fields, tuple(sorted(touched)), tuple((d, s) for d, _, s in plan.drives))
         self.live_step = step / self.substeps
         self._controllers: list[Controller | None] = [
-            kind.controller(_local(values, prefix), step) if kind.controller else None
+            kind.controller(local_values(values, prefix), step) if kind.controller else None
             for kind, prefix, _ in plan.drives
         ]
         self._every_step = bool(self._hooks) or any(self._errors)
@@ -80,10 +80,10 @@ class Engine:
                 self.fields["body_inertia"][:, body] *= (numbers / self.plan.mj.body_mass[body])[:, None]
                 self.fields["body_mass"][:, body] = numbers
         for drive, prefix, site in self.plan.drives:
-            drive.fields(self.fields, site, _local(values, prefix))
+            drive.fields(self.fields, site, local_values(values, prefix))
         for placed in self.plan.effects:
             if placed.effect.fields:
-                placed.effect.fields(self.fields, placed.site, _local(values, placed.prefix))
+                placed.effect.fields(self.fields, placed.site, local_values(values, placed.prefix))
         self.fields.derive()
 
     def start(self, qpos: Array, qvel: Array) -> None:
@@ -208,119 +208,3 @@ def _run_of(columns: list[int]) -> Columns:
 def _address(mj: mujoco.MjModel, measured: Measured) -> tuple[str, int]:
     joint = mj.joint(measured.joint)
     return measured.quantity, int(joint.qposadr[0] if measured.quantity == "position" else joint.dofadr[0])
-
-
-def _local(values: Values, prefix: str) -> dict[str, Array]:
-    return {name.removeprefix(prefix): numbers for name, numbers in values.items() if name.startswith(prefix)}
-
-
-def command_filters(plan: Plan, values: Values, step: float, start: Array) -> list[list[Filter]]:
-    """The filters of each command channel in order, the drive's own last. `start` is (nsim, u) rad."""
-    chains: list[list[Filter]] = []
-    acting = plan.acting(values)
-    for i, (drive, prefix, site) in enumerate(plan.drives):
-        made = [
-            placed.effect.command(_local(values, placed.prefix), placed.site, step, start[:, i])
-            for placed in acting
-            if placed.effect.command and placed.site.channel == i
-        ]
-        made.append(drive.target(_local(values, prefix), site, step, start[:, i]) if drive.target else None)
-        chains.append([f for f in made if f is not None])
-    return chains
-
-
-def measure_filters(model: Model, plan: Plan, values: Values, step: float, first: Array) -> list[list[Filter]]:
-    """The filters of each signal in order; `first` is (nsim, m), the first sample."""
-    names = [m.signal for m in model.rig.measured] + (list(BALL_SIGNALS) if plan.with_ball else [])
-    chains: list[list[Filter]] = []
-    acting = plan.acting(values)
-    for column, signal in enumerate(names):
-        made = [
-            placed.effect.measure(_local(values, placed.prefix), site, step, first[:, column])
-            for placed in acting
-            if placed.effect.measure and (site := _sees(placed, signal)) is not None
-        ]
-        chains.append([f for f in made if f is not None])
-    return chains
-
-
-def _sees(placed: Placed, signal: str) -> Site | None:
-    site, effect = placed.site, placed.effect
-    if effect.where == "signal":
-        return site if site.signal == signal else None
-    if effect.where == "ball":
-        return replace(site, signal=signal) if signal in BALL_SIGNALS else None
-    own = site.axis is not None and any(m.signal == signal for m in site.axis.measured)
-    return replace(site, signal=signal) if own else None
-
-
-def through(chains: list[list[Filter]], block: Array) -> Array:
-    """(nsim, K, channels) through each channel's filters."""
-    if not any(chains):
-        return block
-    out = np.array(block)
-    for i, chain in enumerate(chains):
-        for filter_ in chain:
-            out[:, :, i] = filter_(out[:, :, i], block)
-    return out
-
-
-def undone(plan: Plan, values: Values, given: Mapping[str, Array]) -> dict[str, Array]:
-    """Signal -> (nsim,): what was there, of what was seen, by the effects that can tell."""
-    found = dict(given)
-    for placed in reversed(plan.acting(values)):
-        for signal, seen in found.items():
-            if placed.effect.undo and (site := _sees(placed, signal)) is not None:
-                found[signal] = placed.effect.undo(_local(values, placed.prefix), site, seen)
-    return found
-
-
-def first_state(
-    model: Model, mj: mujoco.MjModel, with_ball: bool, nsim: int, initial: Mapping[str, Array] | None
-) -> tuple[Array, Array]:
-    """qpos (nsim, nq) and qvel (nsim, nv) from measured signals, each (nsim,); NaN and absent ones are 0.
-
-    Where only one side of a belt is given the other follows without slip.
-    """
-    qpos = np.tile(mj.qpos0, (nsim, 1))
-    qvel = np.zeros((nsim, mj.nv))
-    given = dict(initial or {})
-    for axis in model.rig.axes:
-        for quantity, array, address in (("position", qpos, "qposadr"), ("velocity", qvel, "dofadr")):
-            known = {
-                m.joint: np.asarray(given[m.signal], float)
-                for m in axis.measured
-                if m.quantity == quantity and m.signal in given
-            }
-            ratio = _ratio(mj, axis.belt) if axis.belt else 1.0
-            shaft = known.get(axis.joint, np.full(nsim, np.nan))
-            load = known.get(axis.load, np.full(nsim, np.nan))
-            rest = np.where(np.isnan(load), 0.0, load / ratio)
-            shaft = np.where(np.isnan(shaft), rest, shaft)
-            load = np.where(np.isnan(load), shaft * ratio, load)
-            for name, numbers in ((axis.joint, shaft), (axis.load, load)):
-                array[:, int(getattr(mj.joint(name), address)[0])] = numbers
-    if with_ball and model.rig.ball:
-        place_ball(ball_site(model.rig, mj), mj, qpos, given)
-    return qpos, qvel
-
-
-def _ratio(mj: mujoco.MjModel, belt: str) -> float:
-    first = int(mj.tendon_adr[mj.tendon(belt).id])
-    return float(-mj.wrap_prm[first] / mj.wrap_prm[first + 1])
-
-
-def place_ball(site: Site, mj: mujoco.MjModel, qpos: Array, given: Mapping[str, Array]) -> None:
-    """Writes the ball into qpos (nsim, nq), at ball_x, ball_y in its frame, or where the MJCF has it."""
-    data = mujoco.MjData(mj)
-    mujoco.mj_forward(mj, data)
-    rest = data.site_xmat[site.ball_site].reshape(3, 3).T @ (data.xpos[site.ball_body] - data.site_xpos[site.ball_site])
-    for sim in range(len(qpos)):
-        place = rest.copy()
-        for axis, signal in enumerate(BALL_SIGNALS):
-            number = np.broadcast_to(given.get(signal, np.nan), (len(qpos),))[sim]
-            place[axis] = rest[axis] if np.isnan(number) else number
-        data.qpos[:] = qpos[sim]
-        mujoco.mj_kinematics(mj, data)
-        world = data.site_xpos[site.ball_site] + data.site_xmat[site.ball_site].reshape(3, 3) @ place
-        qpos[sim, site.ball_qpos : site.ball_qpos + 3] = world

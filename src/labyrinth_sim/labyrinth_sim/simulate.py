@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labyrinth_sim.build import Plan, compiled
-from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through, undone
+from labyrinth_sim.chains import command_filters, measure_filters, through, undone
+from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model
 from labyrinth_sim.parts import PLAIN
 from labyrinth_sim.rig import BALL_SIGNALS

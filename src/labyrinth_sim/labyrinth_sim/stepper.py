@@ -7,8 +7,10 @@ import mujoco
 import numpy as np
 
 from labyrinth_sim.build import compiled
-from labyrinth_sim.engine import Engine, command_filters, first_state, measure_filters, through, undone
+from labyrinth_sim.chains import command_filters, measure_filters, through, undone
+from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import even_timestep, numbers_of, rest_targets
