@@ -3,27 +3,21 @@
 
 import argparse
 import json
-import math
-import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
-from datetime import UTC, datetime
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eps_tunnel_analysis.cli.bars import bars
-from eps_tunnel_analysis.cli.plays import Recorded, load_recorded
+from eps_tunnel_analysis.cli.plays import load_recorded
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
-from eps_tunnel_analysis.cli.tables import console, table
-from eps_tunnel_analysis.cli.versions import versions
+from eps_tunnel_analysis.cli.tables import console
 from labyrinth_sim.errors import InputError
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.fit.calibrate import Method, Settings
-    from eps_tunnel_analysis.fit.judge import Score
-    from eps_tunnel_analysis.fit.study import Calibration
     from labyrinth_sim.model import Model
 
 NAME = "calibrate"
@@ -39,7 +33,6 @@ commands (none of fewer than five) is held out of the fit and judged afterwards.
 result is written to M2.fit.json. Ctrl-C ends the fit and keeps the best so far; exit code 130 then."""
 METHOD_NAMES = ("cma", "es", "gauss-newton")
 INTERRUPTED = 130
-KS = (1.0, 2.0, 3.0, 5.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,6 +85,7 @@ def _count(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from eps_tunnel_analysis.cli.calibrated import content_of, print_calibration, provenance_of, source_of
     from eps_tunnel_analysis.fit.calibrate import Settings
     from eps_tunnel_analysis.fit.free import default_free, free_parameters
     from eps_tunnel_analysis.fit.hold_out import hold_out
@@ -121,32 +115,28 @@ def run(arguments: argparse.Namespace) -> int:
             f"Nothing was held out of {len(plays)} command{'s' * (len(plays) > 1)}: the errors are those of the data "
             "that was fitted. Record at least five commands, or name a number with --hold-out."
         )
-    content = _content(arguments, recorded, result, notes)
-    _save(result.signed(_source(arguments, recorded, result), _provenance(arguments, recorded, result)), content,
+    content = {"command": NAME, "out": str(out), **content_of(arguments, recorded, result, notes)}
+    _save(result.signed(source_of(arguments, recorded, result), provenance_of(arguments, recorded, result)), content,
           out, beside)  # fmt: skip
     if arguments.json:
         json.dump(content, sys.stdout, indent=1, allow_nan=False)
         print()
     else:
-        _print(result, notes)
+        print_calibration(result, notes)
         console().print(f"Model: {out}\nResult: {beside}", soft_wrap=True)
     return INTERRUPTED if result.interrupted else 0
 
 
 def _targets(out: Path) -> tuple[Path, Path]:
     """The model's file and the result's; refused before the work starts where either exists."""
-    out, beside = _targets_of(out)
+    out = out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
+    beside = out.with_suffix(".fit.json")
     there = [path for path in (out, beside) if path.exists()]
     if there:
         raise InputError([f"--out {path}: exists already and is never overwritten. Name another." for path in there])
     if not out.parent.exists():
         out.parent.mkdir(parents=True)
     return out, beside
-
-
-def _targets_of(out: Path) -> tuple[Path, Path]:
-    out = out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
-    return out, out.with_suffix(".fit.json")
 
 
 def _method(arguments: argparse.Namespace) -> "Method | str":
@@ -173,80 +163,6 @@ def _work(scheduler: str | None, settings: "Settings") -> "Iterator[Settings]":
         yield replace(settings, spread=spread)
 
 
-def _source(arguments: argparse.Namespace, recorded: Recorded, result: "Calibration") -> str:
-    held = _held_out_error(result)
-    return (
-        f"calibrate: {arguments.method} on {arguments.fitness}, seed {arguments.seed}, {len(recorded.bags)} "
-        f"bag{'s' * (len(recorded.bags) > 1)}, {_today()}, held-out error "
-        + (f"{held[1]:.3g} (before {held[0]:.3g})" if held else "none")
-        + (", interrupted" if result.interrupted else "")
-    )
-
-
-def _held_out_error(result: "Calibration") -> tuple[float, float] | None:
-    """Mean of E_C over signals and held-out commands, before and after; None where none were held out."""
-    if not result.held_out_after:
-        return None
-    before, after = (
-        sum(s.error for s in scores) / len(scores) for scores in (result.held_out_before, result.held_out_after)
-    )
-    return before, after
-
-
-def _provenance(arguments: argparse.Namespace, recorded: Recorded, result: "Calibration") -> dict[str, Any]:
-    held = _held_out_error(result)
-    return {
-        "made_by": f"eps-tunnel {NAME}",
-        "method": arguments.method,
-        "fitness": arguments.fitness,
-        "seed": arguments.seed,
-        "date": _today(),
-        "start_from": recorded.model.name,
-        "bags": [{"path": str(path), "sha256": digest} for path, digest in recorded.bags],
-        "held_out": list(dict.fromkeys(n for fit in result.fits for n in fit.held_out_plays)),
-        "held_out_error_before": held[0] if held else None,
-        "held_out_error_after": held[1] if held else None,
-    }
-
-
-def _content(
-    arguments: argparse.Namespace, recorded: Recorded, result: "Calibration", notes: list[str]
-) -> dict[str, Any]:
-    return {
-        "command": NAME,
-        "out": str(_targets_of(arguments.out)[0]),
-        "called": shlex.join(["eps-tunnel", *sys.argv[1:]]),
-        "date": _today(),
-        "versions": versions(),
-        "model": {"name": recorded.model.name, "file": str(recorded.model.path), "rig": recorded.model.rig.name},
-        "bags": [{"path": str(path), "sha256": digest} for path, digest in recorded.bags],
-        "plays": [
-            {"name": play.name, "sequence_hash": digest, "trials": play.trials.count, "samples": len(play.trials.time)}
-            for play, digest in zip(recorded.plays, recorded.hashes, strict=True)
-        ],
-        "method": arguments.method,
-        "fitness": arguments.fitness,
-        "seed": arguments.seed,
-        "interrupted": result.interrupted,
-        "evaluations": sum(fit.evaluations for fit in result.fits),
-        "seconds": sum(fit.seconds for fit in result.fits),
-        "values": result.values,
-        "fits": [{"axis": p.axis, **fit.to_json()} for p, fit in zip(result.parts, result.fits, strict=True)],
-        "scores": {
-            which: [_score(score) for score in getattr(result, which)]
-            for which in ("before", "after", "held_out_before", "held_out_after")
-        },
-        "warnings": list(result.warnings),
-        "notes": notes,
-    }
-
-
-def _score(score: "Score") -> dict[str, Any]:
-    plain = asdict(score)
-    plain["error"] = score.error if score.error < float("inf") else None
-    return {**plain, "alikeness": {f"{k:g}": share for k, share in score.alikeness.items()}}
-
-
 def _save(model: "Model", content: dict[str, Any], out: Path, beside: Path) -> None:
     from labyrinth_sim.model import save_model
 
@@ -255,56 +171,3 @@ def _save(model: "Model", content: dict[str, Any], out: Path, beside: Path) -> N
         json.dump(content, file, indent=1, allow_nan=False)
         file.write("\n")
     save_model(model, out)
-
-
-def _today() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%d")
-
-
-def _print(result: "Calibration", notes: list[str]) -> None:
-    out = console()
-    for part, fit in zip(result.parts, result.fits, strict=True):
-        scale, unit = (100.0, "%") if fit.fitness == "srg" else (1.0, "rad")
-        told = [
-            (
-                p.name,
-                f"{p.start:.5g}",
-                f"{p.value:.5g}",
-                "–" if math.isnan(p.half_width) else f"± {p.half_width:.2g}",
-                p.unit,
-                "at its bound" if p.at_bound else "",
-            )
-            for p in fit.parameters
-        ]
-        table(
-            out,
-            f"Parameters{f' of axis {part.axis}' if part.axis else ''}: {fit.method}, {fit.evaluations} evaluations, "
-            f"{fit.seconds:.1f} s, fitness {scale * fit.before:.4g} -> {scale * fit.after:.4g} {unit}",
-            ("parameter", "before", "after", "95 %", "unit", ""),
-            told,
-        )
-    _print_scores(out, "Fitted commands", result.before, result.after)
-    _print_scores(out, "Held-out commands", result.held_out_before, result.held_out_after)
-    for text in result.warnings:
-        out.print(f"Warning: {text}", soft_wrap=True, markup=False)
-    for note in notes:
-        out.print(f"Note: {note}", soft_wrap=True, markup=False)
-
-
-def _print_scores(out: Any, title: str, before: "tuple[Score, ...]", after: "tuple[Score, ...]") -> None:
-    from eps_tunnel_analysis.shown import shown_share, shown_value
-
-    if not after:
-        return
-    rows = [
-        (
-            b.signal,
-            shown_value(b.error, b.unit),
-            shown_value(a.error, a.unit),
-            *(f"{shown_share(b.alikeness[k])} -> {shown_share(a.alikeness[k])}" for k in KS),
-        )
-        for b, a in zip(before, after, strict=True)
-    ]
-    table(
-        out, f"{title}, before and after", ("signal", "E before", "E after", *(f"alike, k = {k:g}" for k in KS)), rows
-    )

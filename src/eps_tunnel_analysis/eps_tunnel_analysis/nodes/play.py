@@ -17,13 +17,13 @@ from eps_tunnel_analysis.nodes.message_times import to_time
 from eps_tunnel_analysis.nodes.progress import Progress
 from eps_tunnel_analysis.nodes.record_client import RecordClient
 from eps_tunnel_analysis.nodes.rig_side import RigSide
+from eps_tunnel_analysis.nodes.run_so_far import Ended, Run
 from eps_tunnel_analysis.nodes.ticks import Grid, both_clocks
 from eps_tunnel_analysis.sequence import Command, Sequence
 from labyrinth_msgs.msg import Trial
 from labyrinth_sim.errors import InputError
 
 TAIL = 0.3  # s of recording after each trial, so that its last sample has a neighbour to interpolate with
-FEEDBACK = 0.2  # s between two reports of progress
 REPEATS = 3  # times a trial is begun anew after a stall of this process
 RECORD_TIMEOUT = 60.0  # s; a slow disk and a busy machine need some to close a bag
 
@@ -47,10 +47,6 @@ class Outcome:
     success: bool
     message: str
     bags: tuple[str, ...]
-
-
-class Ended(Exception):
-    """The run cannot go on; the text says why."""
 
 
 class Stalled(Ended):
@@ -81,7 +77,7 @@ class Play:
         """
         self.check(sequence)
         trials = trials or sequence.trials
-        run = _Run(sequence, trials, tell, stopped)
+        run = Run(sequence, trials, tell, stopped)
         bags: list[str] = []
         for side in self._sides:
             side.target = None
@@ -104,7 +100,7 @@ class Play:
             tuple(bags),
         )
 
-    def _connect(self, command: Command, run: "_Run") -> None:
+    def _connect(self, command: Command, run: Run) -> None:
         """Waits until every side listens and tells where its joints are."""
         deadline = time.monotonic() + self._limits.connect_timeout
         while missing := [reason for side in self._sides if (reason := self._missing(side, command))]:
@@ -133,7 +129,7 @@ class Play:
         finally:
             self._recorder.stop(RECORD_TIMEOUT)
 
-    def _whole_trial(self, command: Command, number: int, run: "_Run") -> None:
+    def _whole_trial(self, command: Command, number: int, run: Run) -> None:
         """A trial; one that a stall spoiled is marked as given up and begun anew."""
         for repeat in range(REPEATS + 1):
             try:
@@ -144,7 +140,7 @@ class Play:
                     raise
                 self._log.warning(f"Trial {number + 1} of {command.name} is given up and begun anew: {stall}")
 
-    def _trial(self, command: Command, number: int, run: "_Run") -> None:
+    def _trial(self, command: Command, number: int, run: Run) -> None:
         initial = np.array(command.initial)
         paths = [smooth_path(side.pose(command), initial, self._limits.speed, self._rate) for side in self._sides]
         steps = max(len(path) for path in paths)
@@ -175,7 +171,7 @@ class Play:
         done = max(len(targets), grid.newest(time.monotonic()) + 1)
         self._tick(command, [tail] * len(self._sides), run, grid=grid, done=done)
 
-    def _settle(self, command: Command, pose: Array, run: "_Run") -> None:
+    def _settle(self, command: Command, pose: Array, run: Run) -> None:
         for side in self._sides:
             side.rest.reset()
         deadline = time.monotonic() + self._limits.rest_timeout
@@ -193,7 +189,7 @@ class Play:
         self,
         command: Command,
         rows: SequenceOf[Array],
-        run: "_Run",
+        run: Run,
         first: Callable[[int], None] | None = None,
         strict: bool = False,
         grid: Grid | None = None,
@@ -239,7 +235,7 @@ class Play:
     def _nanoseconds(self) -> int:
         return int(self._clock.now().nanoseconds)
 
-    def _check_silence(self, now: float, run: "_Run") -> None:
+    def _check_silence(self, now: float, run: Run) -> None:
         """Raises Ended when a side fell silent while this process could have heard it."""
         if now - run.awake > self._limits.stall:
             for side in self._sides:
@@ -248,49 +244,6 @@ class Play:
         for side in self._sides:
             if side.silence > self._limits.silence:
                 raise Ended(f"{side.name} fell silent: no joint states for {side.silence:.1f} s on {side.topics[1]}.")
-
-
-class _Run:
-    """Where a run is: its clock, its progress, whether it was told to stop."""
-
-    def __init__(
-        self, sequence: Sequence, trials: int, tell: Callable[[Progress], None], stopped: Callable[[], bool]
-    ) -> None:
-        self._tell, self._stopped = tell, stopped
-        # A first guess of 2.5 s between trials; later the run's own pace counts.
-        self._work = [command.duration + 2.5 for command in sequence.commands for _ in range(trials)]
-        self.trial, self.trials, self.phase = 0, len(self._work), "returning"
-        self.lateness: list[float] = []
-        self._began = self._trial_began = self.awake = time.monotonic()
-        self.next_tick = 0.0
-        self._next_report = 0.0
-
-    def check(self) -> None:
-        if self._stopped():
-            raise Ended("it was cancelled.")
-
-    def wait(self, tick: float) -> None:
-        """Sleeps until a tick, monotonic time in s."""
-        self.check()
-        time.sleep(max(0.0, tick - time.monotonic()))
-        self.lateness.append(time.monotonic() - tick)
-
-    def trial_done(self) -> None:
-        self.trial += 1
-        self._trial_began = time.monotonic()
-
-    def report(self, now: float) -> None:
-        if now < self._next_report:
-            return
-        self._next_report = now + FEEDBACK
-        total, done = sum(self._work), sum(self._work[: self.trial])
-        spent = now - self._began
-        within = min(now - self._trial_began, self._work[min(self.trial, self.trials - 1)])
-        share = min(1.0, (done + within) / total) if self.trial < self.trials else 1.0
-        pace = spent / (done + within) if self.trial and done + within > 0 else 1.0
-        self._tell(
-            Progress(min(self.trial, self.trials - 1), self.trials, self.phase, share, (1 - share) * total * pace)
-        )
 
 
 def _free_path(name: str) -> Path:
