@@ -72,3 +72,11 @@ def servo_bag(folder: Path, noise=0.0, lag=0.05, side="/real", seconds=SECONDS, 
         f"{side}/joint_states": changes.get("states", joint_states(measured, joint)),
     }
     return write_bag(folder, {name: topic for name, topic in topics.items() if topic is not None})
+
+
+def both_sides(folder):
+    """Three trials of a real servo, the later the noisier, under real/, and a simulation that lags: sim."""
+    for i in range(3):
+        servo_bag(folder / "real" / f"trial_{i}", noise=0.001 * i)
+    servo_bag(folder / "sim", lag=0.08, side="/sim")
+    return folder

@@ -2,26 +2,19 @@
 """`eps-tunnel calibrate` as a user meets it: real processes, bags, files."""
 
 import json
-import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import COMMAND, ENVIRONMENT, process
 from fit_cases import TRUTH, bag_of, plays
 
 from eps_tunnel_analysis.cli.main import main
 from eps_tunnel_analysis.fit.process import run_calibration
 from labyrinth_sim.model import load_model
 
-PATHS = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2] / "labyrinth_sim")]
-ENVIRONMENT = {
-    **os.environ,
-    "PYTHONPATH": os.pathsep.join([*PATHS, os.environ.get("PYTHONPATH", "")]),
-    "COLUMNS": "120",
-}
-COMMAND = [sys.executable, "-m", "eps_tunnel_analysis.cli", "calibrate"]
+CALIBRATE = [*COMMAND, "calibrate"]
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +27,7 @@ def bags(tmp_path_factory) -> Path:
 
 def call(bags, out, *options):
     arguments = ["--real", bags, "--model", "labyrinth", "--out", out, *options]
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, env=ENVIRONMENT, timeout=120
-    )
+    return process("calibrate", *arguments)
 
 
 def test_a_calibration_writes_a_model_that_loads_and_tells_where_its_values_come_from(bags, tmp_path) -> None:
@@ -98,26 +89,23 @@ def test_ctrl_c_keeps_the_best_so_far_and_the_checkpoint_goes_on_from_there(bags
     whole = call(bags, tmp_path / "whole", *options)
     assert whole.returncode == 0, whole.stderr
     arguments = ["--real", bags, "--model", "labyrinth", *options, "--checkpoint", tmp_path / "checkpoint"]
-    process = subprocess.Popen(
-        [*COMMAND, *map(str, [*arguments, "--out", tmp_path / "cut"])],
+    running = subprocess.Popen(
+        [*CALIBRATE, *map(str, [*arguments, "--out", tmp_path / "cut"])],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
     )  # fmt: skip
-    for line in process.stderr:
+    for line in running.stderr:
         if json.loads(line)["evaluations"] > 100:
-            process.send_signal(signal.SIGINT)
+            running.send_signal(signal.SIGINT)
             break
-    stdout, stderr = process.communicate(timeout=120)
-    assert process.returncode == 130, stderr
+    stdout, stderr = running.communicate(timeout=120)
+    assert running.returncode == 130, stderr
     cut = json.loads(stdout)
     assert cut["interrupted"]
     assert cut["evaluations"] < 1001
     assert load_model(tmp_path / "cut.yaml").values()["drive.x.p"] == cut["values"]["drive.x.p"]
-    process = subprocess.run(
-        [*COMMAND, *map(str, [*arguments, "--out", tmp_path / "resumed"])],
-        capture_output=True, text=True, env=ENVIRONMENT, timeout=120,
-    )  # fmt: skip
-    assert process.returncode == 0, process.stderr
-    first, second = json.loads(whole.stdout), json.loads(process.stdout)
+    resumed = process("calibrate", *arguments, "--out", tmp_path / "resumed")
+    assert resumed.returncode == 0, resumed.stderr
+    first, second = json.loads(whole.stdout), json.loads(resumed.stdout)
     assert second["values"] == first["values"]
     assert second["fits"][0]["history"] == first["fits"][0]["history"]
 

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
-from test_cli import eps_tunnel
+from command_line import eps_tunnel
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "mx106_no_load" / "motor_0"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no ../shared/data beside the project")

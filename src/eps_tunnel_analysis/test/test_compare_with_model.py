@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bag_files import START, STEP, Header, JointState, Time, write_bag
-from test_cli import eps_tunnel
+from command_line import eps_tunnel
 
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.rollout import roll_out, same_commands
