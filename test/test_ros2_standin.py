@@ -157,9 +157,9 @@ def test_topic_pub_reaches_a_subscriber_and_refuses_a_wrong_field() -> None:
         text=True,
     )
     try:
-        code, out, _ = ros2(
-            "topic", "pub", "--once", "/said", "labyrinth_msgs/msg/Srg", "{header: auto, signals: [a, b], k: [1, 2]}"
-        )
+        # The publisher may know of the listener before the listener knows of the publisher, so once may be too early.
+        text = "{header: auto, signals: [a, b], k: [1, 2]}"
+        code, out, _ = ros2("topic", "pub", "--times", "10", "-r", "5", "/said", "labyrinth_msgs/msg/Srg", text)
         heard, _ = listener.communicate(timeout=60)
     finally:
         listener.kill()
