@@ -2,7 +2,6 @@
 """Player, analysis node and two simulations as real processes over real DDS."""
 
 import signal
-import subprocess
 import sys
 import time
 from array import array
@@ -28,7 +27,6 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.nodes.play import TAIL
-from eps_tunnel_analysis.nodes.processes import executable
 from eps_tunnel_analysis.nodes.ticks import TOGETHER, both_clocks
 from eps_tunnel_analysis.recording.reader import read
 from eps_tunnel_analysis.recording.recording import Recording
@@ -325,38 +323,6 @@ def test_a_recording_that_exists_is_not_overwritten(rigs: Rigs, run: Any) -> Non
     assert "not overwritten" in answer.result.message
 
 
-def started(name: str, *parameters: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    command = [str(executable("eps_tunnel_analysis", name)), "--ros-args"]
-    command += [part for parameter in parameters for part in ("-p", parameter)]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
-
-
-def test_without_a_rig_the_player_says_who_is_missing(rigs: Rigs, domain: int) -> None:
-    environment = {**rigs.environment, "ROS_DOMAIN_ID": str(domain)}
-    done = started("player", "sequence:=paper_8s", "sides:=[real]", "connect_timeout:=0.5", environment=environment)
-    assert done.returncode == 1
-    assert "Nobody listens to /real/joint_commands" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("name", "parameter", "told"),
-    [
-        ("player", "rate:=0.1", "Parameter 'rate': expected double from 1 to 1000 [Hz], got 0.1"),
-        ("player", "sequense:=paper_8s", "Did you mean 'sequence'?"),
-        ("player", "sides:=[left]", "Unknown side 'left'"),
-        ("player", "sequence:=nothing", "Unknown sequence 'nothing'"),
-        ("analysis_node", "ks:=[1.0, 1.0]", "Parameter 'ks': expected different numbers"),
-        ("analysis_node", "max_gap:=text", "Parameter 'max_gap': expected double"),
-    ],
-)
-def test_a_wrong_parameter_is_refused_with_exit_code_2(
-    rigs: Rigs, domain: int, name: str, parameter: str, told: str
-) -> None:
-    done = started(name, parameter, environment={**rigs.environment, "ROS_DOMAIN_ID": str(domain)})
-    assert done.returncode == 2
-    assert told in done.stderr
-
-
 def test_the_parameter_file_names_every_parameter_at_its_default(rigs: Rigs) -> None:
     file = ROOT / "config" / "nodes" / "eps_tunnel_analysis.yaml"
     for name in ("player", "analysis_node"):
@@ -375,14 +341,3 @@ def test_the_parameter_file_names_every_parameter_at_its_default(rigs: Rigs) -> 
         }
         descriptors = rigs.result(asked.describe_parameters(own)).descriptors
         assert all(d.description.endswith("]") for d in descriptors)
-
-
-def test_a_parameter_file_and_remapping_are_taken(rigs: Rigs, domain: int, tmp_path: Path) -> None:
-    file = tmp_path / "params.yaml"
-    file.write_text("player: {ros__parameters: {sequence: paper_8s, connect_timeout: 0.5, sides: [real]}}\n")
-    command = [str(executable("eps_tunnel_analysis", "player")), "--ros-args", "--params-file", str(file)]
-    command += ["-r", "/real/joint_commands:=/other/targets"]
-    environment = {**rigs.environment, "ROS_DOMAIN_ID": str(domain)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 1
-    assert "Nobody listens to /other/targets" in done.stderr
