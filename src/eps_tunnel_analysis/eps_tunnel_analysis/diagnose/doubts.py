@@ -99,14 +99,14 @@ def _promising(
     gains = []
     for column, (name, slope) in enumerate(zip(held, slopes[size:], strict=True), size):
         own = slope - basis @ (basis.T @ slope)
-        along = float(own @ own)
-        if not (np.isfinite(along) and along > 0.0):
+        along, towards = float(own @ own), -float(own @ left)
+        if not np.isfinite(along) or along * towards == 0.0:
             continue
-        wanted = values[column] - float(own @ left) / along * steps[column]
+        wanted = values[column] + towards / along * steps[column]
         value = float(np.clip(wanted, search.low[column], search.high[column]))
         # Of a parabola's fall that part which the bounds allow.
         went = (value - values[column]) / (wanted - values[column])
-        gains.append(((2.0 - went) * went * float(own @ left) ** 2 / along / float(left @ left), name, value))
+        gains.append(((2.0 - went) * went * towards**2 / along / float(left @ left), name, value))
     return [(name, value) for share, name, value in sorted(gains, reverse=True) if share > PROMISING]
 
 
