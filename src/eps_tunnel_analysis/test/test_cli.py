@@ -15,7 +15,6 @@ from bag_files import (
     SECONDS,
     START,
     STEP,
-    both_sides,
     command,
     grid,
     response,
@@ -24,11 +23,6 @@ from command_line import COMMAND, ENVIRONMENT, eps_tunnel, process, refused
 
 from eps_tunnel_analysis.recording import BagWriter, read
 from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    return both_sides(tmp_path_factory.mktemp("bags"))
 
 
 def test_a_comparison_of_bags_writes_report_tables_and_pictures(bags, tmp_path):

@@ -9,7 +9,6 @@ from bag_files import (
     START,
     STEP,
     String,
-    both_sides,
     command,
     grid,
     joint_states,
@@ -21,11 +20,6 @@ from command_line import eps_tunnel, refused
 
 from eps_tunnel_analysis.recording import BagWriter
 from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    return both_sides(tmp_path_factory.mktemp("bags"))
 
 
 def test_replay_of_no_bag_is_refused(tmp_path):

@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from eps_tunnel_analysis.cli.diagnosing import add_diagnosis_arguments, progress
+from eps_tunnel_analysis.cli.folder import model_file, refuse_files
 from eps_tunnel_analysis.cli.plays import load_recorded
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
 from eps_tunnel_analysis.cli.tables import console, table
-from labyrinth_sim.errors import InputError
 
 NAME = "add-effect"
 HELP = "Adds effects to a model, fits them, and proves them on samples held out."
@@ -35,10 +35,8 @@ def run(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.diagnose.addition import add_effects
     from labyrinth_sim.model import save_model
 
-    out = arguments.out
-    out = out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
-    if out.exists():
-        raise InputError(f"--out {out}: exists already and is never overwritten. Name another.")
+    out = model_file(arguments.out)
+    refuse_files(out)
     recorded = load_recorded(arguments, efforts=True)
     with progress(arguments.progress) as told:
         added = add_effects(recorded.model, recorded.plays, arguments.names, arguments.threads, told, recorded.held)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eps_tunnel_analysis.cli.bars import bars
+from eps_tunnel_analysis.cli.folder import model_file, refuse_files
 from eps_tunnel_analysis.cli.plays import load_recorded
 from eps_tunnel_analysis.cli.sides import add_bag_arguments, add_model_arguments
 from eps_tunnel_analysis.cli.tables import console
@@ -129,11 +130,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _targets(out: Path) -> tuple[Path, Path]:
     """The model's file and the result's; refused before the work starts where either exists."""
-    out = out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
+    out = model_file(out)
     beside = out.with_suffix(".fit.json")
-    there = [path for path in (out, beside) if path.exists()]
-    if there:
-        raise InputError([f"--out {path}: exists already and is never overwritten. Name another." for path in there])
+    refuse_files(out, beside)
     if not out.parent.exists():
         out.parent.mkdir(parents=True)
     return out, beside

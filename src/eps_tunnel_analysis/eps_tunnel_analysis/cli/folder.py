@@ -17,6 +17,18 @@ def refuse_existing(folder: Path) -> None:
         raise InputError(f"--out {folder}: exists already and is never overwritten. Name a folder that does not exist.")
 
 
+def model_file(out: Path) -> Path:
+    """The file that a model is written to: `out`, as YAML."""
+    return out if out.suffix in (".yaml", ".yml") else out.with_name(out.name + ".yaml")
+
+
+def refuse_files(*files: Path) -> None:
+    """Raises InputError that lists those that exist; to be called before the work starts."""
+    there = [file for file in files if file.exists()]
+    if there:
+        raise InputError([f"--out {file}: exists already and is never overwritten. Name another." for file in there])
+
+
 def write_anew(file: Path, text: str) -> None:
     """Replaces a file, or makes it; whoever reads it, or interrupts, finds a whole one."""
     partial = file.with_name(f".{file.name}.partial")

@@ -105,9 +105,9 @@ def diagnose(
     final = _with(model, axes, {a.part.axis: _refit_of(a, chosen) for a in axes})
     given, before, after = (compared(m, plays if rolls else alone) for m in (model, base_model, final))
     judged = [compared(m, held if rolls else [without_ball(p) for p in held]) for m in (model, base_model, final)]
-    experiment = None
     doubted = [d for a in axes[: len(moved)] if kind == "unknown" and _unexplained(a)
                for d in doubts(bases.among(model, a.part.axis), alone, a, nthread, told)]  # fmt: skip
+    experiment = None
     if experiments and kind == "undecided":
         experiment = next_experiment(axes[: len(moved)], base_model, stated, floor_known(plays))
     evaluations = bases.evaluations + sum(axis.search.evaluations for axis in axes)

@@ -13,6 +13,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_search
 from eps_tunnel_analysis.diagnose.base_refit import base_from
+from eps_tunnel_analysis.diagnose.search import directions
 from eps_tunnel_analysis.fit.free import by_axis
 from eps_tunnel_analysis.plays import Play
 from labyrinth_sim.model import Model
@@ -91,13 +92,12 @@ def _promising(
     values = np.clip(search.start, search.low, search.high)  # a mass of 0 is stated as the smallest
     values[:size] = axis.base.values[:size]
     here = search.at(values, axis.base)
-    moved = search.moved(here)
-    steps = np.diagonal(moved - values)
-    slopes = (search.residuals(moved) - here.residuals)[:, ~search.kept]
+    steps = np.diagonal(search.moved(here) - values)
+    slopes = search.changes(here)[~search.kept]
     left = here.residuals[~search.kept]
-    basis = np.linalg.qr(np.nan_to_num(slopes[:size]).T)[0]
+    basis = directions(slopes[:, :size])
     gains = []
-    for column, (name, slope) in enumerate(zip(held, slopes[size:], strict=True), size):
+    for column, (name, slope) in enumerate(zip(held, slopes[:, size:].T, strict=True), size):
         own = slope - basis @ (basis.T @ slope)
         along, towards = float(own @ own), -float(own @ left)
         if not np.isfinite(along) or along * towards == 0.0:

@@ -206,7 +206,7 @@ class Search:
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row
                     mine.append((candidate, values))
-            basis = self._basis(refit)[~self.kept]
+            basis = directions(self.changes(refit))[~self.kept]
             here = refit.residuals[~self.kept]
             here = here - basis @ (basis.T @ here)
             for low in range(0, len(mine), AT_ONCE):
@@ -239,9 +239,16 @@ class Search:
         moved[np.arange(len(columns)), columns] += steps
         return moved
 
-    def _basis(self, refit: Refit) -> Array:
-        """(R, k) orthonormal: the directions in which the base values, and effects fitted already, move residuals."""
-        slopes = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
-        slopes[self.kept] = 0.0
-        vectors, sizes, _ = np.linalg.svd(slopes, full_matrices=False)
-        return np.asarray(vectors[:, sizes > 1e-6 * max(sizes.max(initial=0.0), 1e-300)])
+    def changes(self, refit: Refit) -> Array:
+        """(R, k) by which each of the base values, and of effects fitted already, `moved`, changes residuals; 0 where
+        they are not fitted.
+        """
+        found = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
+        found[self.kept] = 0.0
+        return found
+
+
+def directions(changes: Array) -> Array:
+    """(R, <= k) orthonormal: the directions in which changes (R, k) move residuals."""
+    vectors, sizes, _ = np.linalg.svd(changes, full_matrices=False)
+    return np.asarray(vectors[:, sizes > 1e-6 * max(sizes.max(initial=0.0), 1e-300)])
