@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # A bare machine needs Python 3.11 or newer, gcc, g++, cmake and make; everything else goes into .venv/, build/ and install/.
 #
-# With a ROS 2 Jazzy or Kilted sourced, its own rclpy, colcon and ros2 are used and .venv/ holds the libraries only.
-# `colcon build && source install/setup.bash` is then enough too, if the libraries of requirements.txt are importable.
+# With a ROS 2 Jazzy, Kilted or Lyrical sourced, its rclpy, colcon and ros2 are used and .venv/ holds the libraries only.
+# docs/howto/existing_ros.md has the same steps by hand.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -21,20 +21,20 @@ export PYTHONUNBUFFERED := 1
 
 ifdef ROS_DISTRO
   VENV_OPTIONS := --system-site-packages
-  REQUIREMENTS := requirements.txt
-  COLCON := colcon
+  LOCKS := requirements.lock
 else
   VENV_OPTIONS :=
-  REQUIREMENTS := requirements.txt requirements-ros.txt
-  COLCON := python -m colcon
+  LOCKS := requirements.lock requirements-ros.lock
 endif
+# As a module, so that the programs it installs start with the Python of .venv/, whichever started colcon's own script.
+COLCON := python -m colcon
 
 # Python files are linked, not copied: only what decides *which* files are installed asks for a new build.
 MESSAGES := $(wildcard src/labyrinth_msgs/*/*.msg src/labyrinth_msgs/*/*.srv src/labyrinth_msgs/*/*.action)
 MANIFESTS := $(wildcard src/*/package.xml src/*/setup.py src/*/setup.cfg src/*/CMakeLists.txt src/*/launch/*.py) colcon.meta
-DATA := $(shell find config 2>/dev/null)
+DATA := $(shell find src/*/config)
 
-.PHONY: help setup demo test lint format clean
+.PHONY: help setup demo test lint format docs lock clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -59,6 +59,19 @@ lint: setup ## check style, formatting and types
 format: setup ## put the sources into the house format
 	@$(RUN) ruff check --fix $(LINTED); ruff format $(LINTED)
 
+DOCS := build/docs
+ALONE := env -u PYTHONPATH -u LD_LIBRARY_PATH
+
+docs: ## build the pages as a site that can be searched: out/docs; it fetches nothing when it is read
+	@if [ ! -x $(DOCS)/bin/python ] || [ requirements-docs.txt -nt $(DOCS)/.installed ]; then \
+	    $(PYTHON) -m venv $(DOCS) && $(ALONE) $(DOCS)/bin/python -m pip install --no-input -q -r requirements-docs.txt && \
+	    touch $(DOCS)/.installed; fi
+	@$(ALONE) NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/python -m mkdocs build --strict
+	@echo "out/docs/index.html; its search needs a server: python3 -m http.server --directory out/docs"
+
+lock: setup ## pin what requirements*.txt need, with hashes: requirements*.lock; delete those first for the newest releases
+	@$(RUN) python tools/lock.py
+
 ifneq ($(wildcard benchmarks/paper.py),)
 .PHONY: paper
 paper: setup ## repeat the paper's tables and figures on the emulated testbed
@@ -66,17 +79,18 @@ paper: setup ## repeat the paper's tables and figures on the emulated testbed
 endif
 
 clean: ## remove what setup made; recordings and reports in out/ stay
-	rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build install log src/*/build .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src test tools -name __pycache__ -prune -exec rm -rf {} +
 
-.venv/.installed: $(REQUIREMENTS) tools/check_machine.py
+.venv/.installed: $(LOCKS) tools/check_machine.py
 	@$(PYTHON) tools/check_machine.py
-	@echo "setup 1/2: libraries into .venv, about two minutes"
+	@echo "setup 1/2: $(words $(shell grep -ho '^[a-z0-9._-]*==' $(LOCKS))) libraries into .venv, about two minutes"
 	@if [ ! -x .venv/bin/python ]; then $(PYTHON) -m venv $(VENV_OPTIONS) .venv; fi
 	@touch .venv/COLCON_IGNORE
 	@env -u LD_LIBRARY_PATH -u PYTHONPATH -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
-	    .venv/bin/python -m pip install --no-input $(addprefix -r ,$(REQUIREMENTS)) 2>&1 \
-	    | sed -un 's/^Collecting \([^][ ;=~<>(]*\).*/  \1/p; s/^Installing collected.*/  installing them/p; /^ERROR/p'
+	    .venv/bin/python -m pip install --no-input --require-hashes $(addprefix -r ,$(LOCKS)) 2>&1 \
+	    | awk '/^Collecting / && ++n % 25 == 0 {print "  " n " of them are here"} \
+	           /^Installing collected/ {print "  installing them"} /^ERROR/ {print} {fflush()}'
 	@touch $@
 
 install/.built: .venv/.installed $(MESSAGES) $(MANIFESTS) $(DATA)

@@ -7,18 +7,17 @@ from collections.abc import Iterator
 from itertools import count
 
 import pytest
+from domain_coordinator import domain_id
 
 RERUNS = 2
 NICE = 10  # of a worker's other tests
 _failed = pytest.StashKey[bool]()
-_firsts = count(os.getpid())
+_numbers = count(os.getpid())
 
 
 def _domain() -> Iterator[int]:
-    from eps_tunnel_analysis.nodes.domain import own_domain
-
     # Another one each time: what a killed node said may still linger on the last.
-    with own_domain(next(_firsts)) as domain:
+    with domain_id(lambda: 1 + next(_numbers) % 100) as domain:
         yield domain
 
 

@@ -13,11 +13,10 @@ import cv2
 import numpy as np
 
 from labyrinth_hw.ball_tracker import BallTracker
-from labyrinth_hw.dots import DotPlan
-from labyrinth_hw.landmarks import LandmarkTracker
-from labyrinth_hw.testbed.video import Renderer
-from labyrinth_hw.testbed.video_scene import Lighting, Scene
-from labyrinth_hw.testbed.video_views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
+from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
+from labyrinth_hw.testbed.renderer import Renderer
+from labyrinth_hw.testbed.scene import Lighting, Scene
+from labyrinth_hw.testbed.views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
 
 
 def measure(lens: str, speed: float, rooms: int, frames: int, seed: int) -> dict[str, float]:

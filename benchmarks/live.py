@@ -22,9 +22,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from eps_tunnel_analysis.nodes.domain import own_domain
-from eps_tunnel_analysis.nodes.message_times import nanoseconds, to_time
-from eps_tunnel_analysis.nodes.processes import Processes, executable
+from eps_tunnel_analysis.nodes.messages import nanoseconds, to_time
+from eps_tunnel_analysis.nodes.rig_processes import executable, own_domain
+from eps_tunnel_analysis.processes import Processes
 from labyrinth_msgs.msg import Trial, TunnelSample
 from labyrinth_msgs.srv import Record
 
@@ -104,10 +104,12 @@ def measure(trials: int, folder: Path) -> dict[str, float]:
             executor.add_node(node)
             spinning = threading.Thread(target=executor.spin, daemon=True)
             spinning.start()
-            while not (node.recorder.service_is_ready() and all(p.get_subscription_count() for p in node.states)):
+            while not node.recorder.service_is_ready():
                 processes.check()
                 time.sleep(0.1)
-            asked = node.recorder.call_async(Record.Request(start=True, folder=str(folder / "bags"), label="sine"))
+            asked = node.recorder.call_async(
+                Record.Request(start=True, folder=str(folder / "bags"), label="sine", sides=["real", "sim"])
+            )
             while not asked.done():
                 time.sleep(0.05)
             pid = processes._running["analysis_node"].pid

@@ -19,18 +19,15 @@ from paper_figures import draw_figure_4, draw_figure_5
 from tqdm import tqdm
 
 from eps_tunnel_analysis.alikeness import KS, alikeness_over_k
-from eps_tunnel_analysis.cli.bars import bars
-from eps_tunnel_analysis.cli.tables import console, table
-from eps_tunnel_analysis.cli.versions import versions
-from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
-from eps_tunnel_analysis.fit.es import EvolutionStrategy
-from eps_tunnel_analysis.fit.free import Part
-from eps_tunnel_analysis.fit.result import Fit
-from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
+from eps_tunnel_analysis.fit.methods import EvolutionStrategy
+from eps_tunnel_analysis.fit.problem import Part
+from eps_tunnel_analysis.outputs import versions
 from eps_tunnel_analysis.recording import read, to_plays
-from eps_tunnel_analysis.rollout import roll_out
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import find_sequence
+from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.terminal import console, fit_bars, table
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
 from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import TestbedConfig, load_testbed
@@ -142,14 +139,14 @@ def evolve(model: Model, axis: str, plays: list[Play], generations: int, seed: i
     free = tuple(f"drive.{axis}.{name}" for name in ("p", "i", "d", "delay"))
     signals = (f"board_{axis}",)
     strategy = EvolutionStrategy(generations=generations)
-    with bars("bar") as told:
+    with fit_bars("bar") as told:
         bar = told(Part(axis, free, signals, ()), strategy.budget) if told else None
         return calibrate(model, free, plays, Settings(method=strategy, seed=seed, signals=signals), bar)
 
 
 def share(model: Model, real: Trials, tunnel: Tunnel, signal: str) -> list[float]:
     """Alikeness of one signal in % at k = 1..5, equation 13."""
-    simulated = roll_out(model, real).select(real.signals)
+    simulated = roll_out(model, Play("", real)).select(real.signals)
     return [100 * a.shares[signal] for a in alikeness_over_k(tunnel, build_tunnel(simulated), KS)]
 
 

@@ -10,8 +10,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from eps_tunnel_analysis.plays import Play
-from eps_tunnel_analysis.rollout import roll_out
+from eps_tunnel_analysis.simulated import Play, roll_out
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel
 from labyrinth_sim.model import Model
 
@@ -25,7 +24,7 @@ def draw_figure_4(out: Path, play: Play, sets: Mapping[str, Model]) -> None:
     tunnel = build_tunnel(play.trials)
     axes.plot(tunnel.time, tunnel.mean[:, tunnel.index("board_x")] * DEGREES, "k-", label="real")
     for name, model in sets.items():
-        run = roll_out(model, play.trials)
+        run = roll_out(model, play)
         axes.plot(run.time, run.values[0, :, run.index("board_x")] * DEGREES, STYLES[name], label=name)
     axes.set(xlabel="time (s)", ylabel=r"$\phi_X$ (deg)", title=f"Rotation {play.name.split('/')[-1]}")
     axes.legend(loc="lower right")
@@ -36,7 +35,7 @@ def draw_figure_5(out: Path, play: Play, tunnel: Tunnel, model: Model) -> None:
     """The tunnel of phi_X at kR = 1 and 3 with the simulated trajectory, at the end of its first step."""
     figure, panels = plt.subplots(2, 1, figsize=(6, 6), sharex=True, layout="constrained")
     column = tunnel.index("board_x")
-    run = roll_out(model, play.trials)
+    run = roll_out(model, play)
     simulated = run.values[0, :, run.index("board_x")] * DEGREES
     for axes, k in zip(panels, (1.0, 3.0), strict=True):
         low, high = tunnel.bounds(k)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each entry of the emulated testbed shows beside the noise: what the drive's values alone, refitted, leave.
 
-Root mean square over the noise floor, for the weak, the medium and the strong case; a complete model leaves about 0.9.
+Root mean square over the noise floor, for the weak, the medium and the strong case; a complete model leaves about 1.
 A "!" marks cases whose trials differ as no effect of the library makes them, which widens the floor.
 
     python benchmarks/strengths.py [--only NAME ...] [--seed S]
@@ -10,14 +10,13 @@ A "!" marks cases whose trials differ as no effect of the library makes them, wh
 import argparse
 
 import numpy as np
-from diagnosis import draw, play, rig
+from testbed_cases import draw, play, rig
 
-from eps_tunnel_analysis.diagnose.axis_search import axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.base_refit import base_refit
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.base_values import base_refit
 from eps_tunnel_analysis.diagnose.repeats import repeats
 from eps_tunnel_analysis.sequence_file import find_sequence
-from labyrinth_hw.testbed.effects import EFFECTS, STRENGTHS
-from labyrinth_hw.testbed.hidden import hide
+from labyrinth_hw.testbed.hidden import EFFECTS, STRENGTHS, hide
 
 
 def shown(name: str, axis: str, strength: str, seed: int) -> str:
@@ -25,10 +24,10 @@ def shown(name: str, axis: str, strength: str, seed: int) -> str:
     model = draw(seed)[2]
     plays = [play(rig((hide(name, axis, strength),)), find_sequence("excite_12s").commands[0], seed)]
     part = next(p for p in axis_parts(model, plays) if p.axis == axis[-1])
-    base = base_refit(axis_search(model, plays, part, [], nthread=1))
+    base = base_refit(axis_search(model, plays, part, SearchOptions(only=(), nthread=1)))
     positions = [s for s in part.signals if not s.endswith("effort")]
     odd = any(r.sentence for r in repeats(plays[0].trials, positions))
-    return f"{np.sqrt(base.overall):.1f}{'!' if odd else ''}"
+    return f"{np.sqrt(base.cost):.1f}{'!' if odd else ''}"
 
 
 def main() -> None:

@@ -5,113 +5,108 @@ python benchmarks/study_table.py out.json
 """
 
 import argparse
-import itertools
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from diagnosis import STRONG, figures, right
+from counting import Figure, Record, figures, is_right, is_undecided, reliability
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 BEGIN, END = "<!-- study: written by benchmarks/study_table.py -->", "<!-- end of the study -->"
-KEYS = {  # key: what it means, the bar, the cases that speak to it
-    "top1_strong": ("named right, single effects that show at over 3 times the floor", "0.95",
-                    lambda r: r["kind"] == "single" and r["shows"] > STRONG),
-    "top1_all": ("named right, all single effects; undecided with the truth in a set of two counts half", "0.85",
-                 lambda r: r["kind"] == "single"),
-    "pair_both": ("both named, pairs of strong effects", "0.80", lambda r: r["kind"] == "pair"),
-    "false_alarm": ("an effect named where nothing is missing", "≤ 0.02", lambda r: r["kind"] == "none"),
-    "unknown_found": ("outside the library: called unknown, or a set stating it", "0.90",
-                      lambda r: r["kind"] == "outside"),
-    "coverage_90": ("the truth is in the stated set", "0.87 to 0.95", lambda r: True),
-    "drop_vs_oracle": ("fall of the held-out error over that with the true form, median", "0.9",
-                       lambda r: "oracle" in r),
-    "decided_after_experiment": ("undecided, then right after the proposed experiment", "0.9",
-                                 lambda r: "after_experiment" in r),
-}  # fmt: skip
-LEVELS = (0.0, 0.5, 0.7, 0.9, 0.99, 0.999, 1.0 + 1e-9)
-Record = dict[str, Any]
+KEYS = {  # key: what it means, and the bar
+    "visible_right": ("single effects that show at over 3 times the floor: named right", "≥ 0.90"),
+    "visible_undecided": ("the same: undecided, with the truth in the stated set", "≤ 0.08"),
+    "visible_wrong": ("the same: anything else", "≤ 0.02"),
+    "visible_misnamed": ("the same: another effect named", ""),
+    "false_alarm": ("healthy rigs that are said to lack something", "≤ 0.02"),
+    "false_alarm_upper95": ("upper end of its interval", "≤ 0.04"),
+    "false_alarm_named": ("healthy rigs on which an effect is named", ""),
+    "unknown_found": ("outside the library, or left out of it, at over 3 times the floor: called unknown", "≥ 0.90"),
+    "unknown_found_outside": ("outside the library", ""),
+    "unknown_found_left_out": ("left out of the library", ""),
+    "pair_both": ("both of a pair named, and nothing else", "≥ 0.75"),
+    "calibration_error": ("expected calibration error of the likeliest hypothesis", "≤ 0.05"),
+    "stated_above_95_wrong": ("wrong, of what was given more than 95 %", "≤ 0.05"),
+    "drop_vs_true_form": ("fall of the held-out error over that of the true form fitted on its own, median", "≥ 0.9"),
+    "log_score": ("mean logarithm of the probability given to what is true", ""),
+    "failed": ("ended with an error", "0"),
+    "median_seconds": ("one diagnosis, s, median", ""),
+}
+BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, float("inf")))  # of visibility, times the floor
 
 
 def page(content: dict[str, Any]) -> str:
     """The part of the page, in Markdown."""
     records: list[Record] = content["cases"]
-    kinds = {kind: sum(r["kind"] == kind for r in records) for kind in ("single", "pair", "none", "outside")}
+    kinds = Counter(r["kind"] for r in records)
+    told = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in sorted(kinds.items()))
+    study = "" if content["study"] == "drawn" else f" --study {content['study']}"
     lines = [
-        f"{len(records)} cases of {content['date']}, seeds {records[0]['seed']} to {records[-1]['seed']}: "
-        f"{kinds['single']} single effects, {kinds['pair']} pairs of strong ones, {kinds['none']} with nothing hidden,",
-        f"{kinds['outside']} outside the library. In brackets: how many cases speak to a figure.",
+        f"{len(records)} cases of {content['date']}, seeds {records[0]['seed']} to {records[-1]['seed']}: {told}. In",
+        "brackets: how many cases speak to a figure. Intervals are of 95 %.",
         "",
-        f"    python benchmarks/diagnosis.py --cases {len(records)} --seed {content['seed']} "
+        f"    python benchmarks/diagnosis.py --cases {len(records)} --seed {content['seed']}{study} "
         f"--workers {content['workers']} --threads {content['threads']} --json out.json",
         "",
-        "| key | means | measured | bar |",
-        "|---|---|---|---|",
+        "| key | means | measured | interval | bar |",
+        "|---|---|---|---|---|",
     ]
     measured = figures(records)
-    for key, (means, bar, speaks) in KEYS.items():
-        value = measured[key]
-        told = "–" if value is None else f"{value:.3f}"
-        lines.append(f"| `{key}` | {means} | {told} ({sum(map(speaks, records))}) | {bar} |")
-    seconds = measured["median_seconds"]
-    if seconds is not None:
-        beside = "alone" if content["workers"] == 1 else f"{content['workers']} side by side"
-        threads = f"{content['threads']} thread{'s' * (content['threads'] > 1)}"
-        means = f"one diagnosis, whole library, both axes, on {threads}, {beside}, s"
-        lines.append(f"| `median_seconds` | {means} | {seconds:.0f} ({len(records)}) | 60 on 2 cores |")
+    lines += [f"| `{key}` | {means} | {_cells(measured[key])} | {bar} |" for key, (means, bar) in KEYS.items()]
     lines += ["", *_by_effect(records), "", *_reliability(records), "", *_misses(records)]
     return "\n".join(lines) + "\n"
 
 
+def _cells(figure: Figure) -> str:
+    if figure.value is None or figure.interval is None:
+        return f"– ({figure.n}) | –"
+    return f"{figure.value:.3f} ({figure.n}) | {figure.interval[0]:.3f} to {figure.interval[1]:.3f}"
+
+
 def _by_effect(records: Sequence[Record]) -> Iterator[str]:
-    """How often single effects were named right, by strength."""
-    cells: dict[tuple[str, str], list[float]] = defaultdict(list)
+    """How often single effects were named right, by visibility."""
+    cells: dict[tuple[str, int], list[bool]] = defaultdict(list)
     for r in (r for r in records if r["kind"] == "single"):
-        cells[r["truth"].partition(".")[0], r["strength"]].append(right(r))
-    yield "Single effects named right, of how many (undecided between two counts half):"
+        band = next(i for i, (low, high) in enumerate(BANDS) if low <= r["visibility"] < high)
+        cells[r["truth"].partition(".")[0], band].append(is_right(r))
+    heads = [f"{low:g} to {high:g}" if high < float("inf") else f"over {low:g}" for low, high in BANDS]
+    yield "Single effects named right, of how many, by how many times the floor they show:"
     yield ""
-    yield "| effect | weak | medium | strong |"
-    yield "|---|---|---|---|"
+    yield f"| effect | {' | '.join(heads)} |"
+    yield "|---|" + "---|" * len(BANDS)
     for name in sorted({name for name, _ in cells}):
-        found = (cells.get((name, s), []) for s in ("weak", "medium", "strong"))
-        yield f"| {name} | " + " | ".join(f"{sum(c):g} of {len(c)}" if c else "" for c in found) + " |"
+        row = (cells.get((name, i), []) for i in range(len(BANDS)))
+        yield f"| {name} | " + " | ".join(f"{sum(c)} of {len(c)}" if c else "" for c in row) + " |"
 
 
 def _reliability(records: Sequence[Record]) -> Iterator[str]:
-    """How often the likeliest hypothesis was true, by the probability it was given."""
-    first = [(*max(r["top"].items(), key=lambda item: item[1]), r["truth"]) for r in records]
-    yield "How often the likeliest hypothesis was true:"
+    yield 'How often the likeliest hypothesis was true; of what shows below the floor, "none" counts as true:'
     yield ""
-    yield "| it was given | cases | was true |"
-    yield "|---|---|---|"
-    for low, high in itertools.pairwise(LEVELS):
-        inside = [name == truth for name, p, truth in first if low <= p < high]
-        if inside:
-            top = f"{min(high, 1.0):.1%}"
-            yield f"| {low:.1%} to {top} | {len(inside)} | {sum(inside) / len(inside):.0%} |"
+    yield "| it was given | cases | on average | was true | interval |"
+    yield "|---|---|---|---|---|"
+    for r in reliability(records):
+        low, high = r["interval"]
+        yield (
+            f"| {r['from']:.0%} to {r['to']:.0%} | {r['n']} | {r['stated']:.1%} | {r['true']:.1%} "
+            f"| {low:.0%} to {high:.0%} |"
+        )
 
 
 def _misses(records: Sequence[Record]) -> Iterator[str]:
-    missed = [r for r in records if not _told(r)]
-    yield f"All that was not told right at once, {len(missed)} of {len(records)}:"
+    missed = [r for r in records if not is_right(r)]
+    left_open = sum(is_undecided(r) for r in missed)
+    yield f"All that was not told right, {len(missed)} of {len(records)}; {left_open} of them undecided with the truth:"
     yield ""
-    yield "| seed | hidden | base over floor | verdict | stated set | after the experiment |"
+    yield "| seed | rig | hidden | shows | verdict | stated set |"
     yield "|---|---|---|---|---|---|"
     for r in missed:
         stated = ", ".join(r["stated"][:3]) + (f" and {len(r['stated']) - 3} more" if len(r["stated"]) > 3 else "")
-        hidden = f"{'outside' if r['truth'] == 'unknown' else r['truth']} {r['strength']}".strip()
-        again = r.get("after_experiment")
-        after = (
-            "" if again is None else " + ".join(again["effects"]) if again["verdict"] == "effect" else again["verdict"]
-        )
-        yield f"| {r['seed']} | {hidden} | {r['shows']:.1f} | {r['verdict']} | {stated} | {after} |"
-
-
-def _told(r: Record) -> bool:
-    said = {"complete": "none", "unknown": "unknown", "effect": " + ".join(sorted(r["effects"]))}
-    return said.get(r["verdict"]) == r["truth"]
+        hidden = " + ".join(f"{h['effect']}.{h['place']} ({h['form']})" for h in r.get("hidden", ())) or r["truth"]
+        rig = f"{r['rig']}, {r['law']}" if "rig" in r else "testbed"
+        kind = f"{r['kind'].replace('_', ' ')}: " if r["kind"] in ("outside", "left_out") else ""
+        yield f"| {r['seed']} | {rig} | {kind}{hidden} | {r['visibility']:.1f} | {r['verdict']} | {stated} |"
 
 
 def main() -> None:

@@ -142,7 +142,11 @@ def browser(program: str, folder: Path) -> Iterator[Page]:
 
         socket = loop.run_until_complete(connect())
         yield Page(loop, socket)
-        socket.close()
+
+        async def close() -> None:
+            socket.close()
+
+        loop.run_until_complete(close())  # closing waits on the loop that runs
     finally:
         process.terminate()
         try:

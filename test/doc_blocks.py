@@ -6,6 +6,7 @@
     <!-- test: nodes -->             start each in the background until the page's end
     <!-- test: workspace -->         run with src/ standing for the source tree's
     <!-- test: skip, REASON -->      neither
+    <!-- test: instead STATEMENTS --> of Python: run these quick ones, and compile what is shown
     <!-- file: PATH -->              the block is that file's content
 
 Blocks of ```console without a comment are run as they are; lines that begin with `$ ` are commands, the others output.
@@ -59,7 +60,8 @@ def blocks(page: str, begin: str = "", end: str = "") -> list[Block]:
             else:
                 open_block.lines.append(line.removeprefix(indent))
             continue
-        inside = (inside or line == begin) and line != (end or None)
+        if line in (begin, end) and line:
+            inside = line == begin
         if match := COMMENT.search(line):
             how, file = (match["text"], file) if match["kind"] == "test" else (how, match["text"])
         elif match := FENCE.match(line):

@@ -14,6 +14,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
 from reference_page import nodes
+from reference_page.page import launch_files
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -33,6 +34,10 @@ def check(command: str) -> None:
         assert rest[0] in targets, command
     elif program == "source":
         assert (ROOT / rest[0]).is_file(), command
+    elif words[:3] == ["python", "-m", "labyrinth_hw.testbed"]:
+        from labyrinth_hw.testbed.command_line import parser as testbed
+
+        parse(testbed(), words[3:], command)
     elif program == "dask":
         told = subprocess.run(["dask", rest[0], "--help"], capture_output=True, text=True, check=True).stdout
         assert all(word in told for word in rest if word.startswith("--")), command
@@ -43,12 +48,15 @@ def check(command: str) -> None:
 
 
 def check_ros2(words: list[str], command: str) -> None:
-    """`ros2 run`, `topic echo`, `service call`."""
+    """`ros2 run`, `launch`, `topic echo`, `service call`."""
     every = [
         end for package in nodes.PACKAGES for file in nodes.executables(package).values() for end in nodes.ends(file)
     ]
     verb = " ".join(words[: 1 if words[0] == "run" else 2])
-    if verb == "run":
+    if words[0] == "launch":
+        declared = {argument.name for argument in launch_files()[words[1], words[2]]}
+        assert {word.split(":=")[0] for word in words[3:]} <= declared, command
+    elif verb == "run":
         check_run(words[1], words[2], words[3:], command)
     elif verb == "topic echo":
         known = {name_in(end.name, words[2]) for end in every if end.how == "publishes"}

@@ -13,7 +13,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from eps_tunnel_analysis.nodes.processes import Processes, executable
+from eps_tunnel_analysis.nodes.rig_processes import executable
+from eps_tunnel_analysis.processes import Processes
 
 PATIENCE = 180.0  # s; only what hangs takes so long
 

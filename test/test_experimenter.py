@@ -5,7 +5,6 @@ import json
 import re
 import sys
 from collections.abc import Mapping
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +15,20 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from short_sequence import SHORT
 
-from eps_tunnel_analysis.autonomous.experimenter import Ending, Experimenter, Plan
-from eps_tunnel_analysis.autonomous.notebook import Notebook
-from eps_tunnel_analysis.autonomous.reason import Search
-from eps_tunnel_analysis.autonomous.rig import Bags, RigFailed
-from eps_tunnel_analysis.autonomous.truth import judged
+from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan
+from eps_tunnel_analysis.loop.notebook import Notebook
+from eps_tunnel_analysis.loop.reason import DiagnosisOptions
+from eps_tunnel_analysis.loop.rig import Bags, RigFailed
+from eps_tunnel_analysis.loop.truth import judged
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import load_model
+from labyrinth_sim.registry import Registry
 from labyrinth_sim.simulate import simulate
 
-FEW = ("gravity_load", "return_spring", "coulomb_friction", "sensor_delay")
+FEW = ("gravity_load", "return_spring")
 LIMIT = np.radians(5.0)
 
 
@@ -76,9 +76,11 @@ def ended(
     rig: OfflineRig, folder: Path, candidates: tuple[str, ...] = FEW, timing: float = 0.01, **plan: Any
 ) -> Ending:
     (folder / "short.yaml").write_text(SHORT)
-    given = Plan("labyrinth_manual", str(folder / "short.yaml"), 3, search=Search(candidates, timing=timing), **plan)
+    given = Plan(
+        "labyrinth_manual", str(folder / "short.yaml"), 3, search=DiagnosisOptions(candidates, timing=timing), **plan
+    )
     notebook = Notebook(folder, "Test")
-    return Experimenter(rig, given, folder, notebook, lambda _: None, lambda: nullcontext(None)).run()
+    return notebook.keep(Experimenter(given, folder, rig).steps(), lambda _: None)
 
 
 def notebook(folder: Path) -> str:
@@ -96,7 +98,7 @@ def test_a_hidden_effect_is_added_and_the_loop_ends_at_the_noise(tmp_path: Path)
     assert rig.told == ["effect", "complete"]
     assert rig.loaded == ["model_1.yaml", "model_2.yaml"]
     assert [use.effect.name for use in load_model(ending.model).effects] == ["gravity_load"]
-    before, after = (gap.error for _, gap in ending.steps)
+    before, after = (stair.error for stair in ending.steps)
     assert after < 0.5 * before
     text = notebook(tmp_path)
     headings = re.findall(r"^## \d+\. (.*)$", text, re.MULTILINE)
@@ -107,10 +109,21 @@ def test_a_hidden_effect_is_added_and_the_loop_ends_at_the_noise(tmp_path: Path)
     assert json.loads((tmp_path / "staircase.json").read_text())["verdict"] == "complete"
 
 
-def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_picture(tmp_path: Path) -> None:
-    ending = ended(OfflineRig("cogging.x=strong"), tmp_path, ("gravity_load",))
+def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_law_that_another_command_confirms(
+    tmp_path: Path,
+) -> None:
+    rig = OfflineRig("cogging.x=strong")
+    ending = ended(rig, tmp_path, ("gravity_load",))
     assert (ending.verdict, ending.effects) == ("unknown", ())
-    assert "what no known effect explains" in notebook(tmp_path)
+    text = notebook(tmp_path)
+    assert "what no known effect explains" in text
+    assert [Path(played).stem for played in rig.played] == ["short", "visit_angle_x"]
+    assert ending.proposal is not None and ending.proposal.confirmation is not None
+    assert ending.proposal.confirmation.holds and "Confirmed on another command" in ending.sentence
+    assert "Proposed law: confirmed" in text and "proposed_effect.py" in text
+    content = json.loads((tmp_path / "staircase.json").read_text())
+    assert content["proposed_effect"]["confirmed"] is True
+    assert (Path(content["proposed_in"]) / "proposed_effect.py").exists()
 
 
 def test_trials_that_came_at_uneven_times_are_played_once_more_before_anything_is_called_unknown(
@@ -145,16 +158,16 @@ def test_uneven_timing_that_is_known_of_a_rig_is_told_and_not_held_against_it(tm
 
 
 def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:
-    rig = OfflineRig("supply_sag.x=strong")
-    ending = ended(rig, tmp_path, ("supply_sag", "torque_saturation"), most_steps=0)
+    rig = OfflineRig("torque_saturation.x=medium")
+    ending = ended(rig, tmp_path, ("rate_limit", "torque_saturation"), most_steps=0)
     assert rig.told == ["undecided", "effect"], "choose rivals that only the short sequence does not tell apart"
     proposed = json.loads((tmp_path / "diagnosis_1" / "diagnosis.json").read_text())["next_experiment"]
     assert Path(rig.played[1]).stem == proposed
     assert (tmp_path / f"{proposed}.yaml").exists()
-    assert "it decides" in notebook(tmp_path)
+    assert "to decide" in notebook(tmp_path)
     again = json.loads((tmp_path / "diagnosis_2" / "diagnosis.json").read_text())
     assert len(again["sources"]) == 2
-    assert again["effects"] == ["supply_sag.x"]
+    assert again["effects"] == ["torque_saturation.x"]
     assert ending.verdict == "step limit"
 
 
@@ -210,4 +223,4 @@ def test_a_verdict_is_judged_by_what_was_hidden(
     axis: str, known: bool, effects: list[str], verdict: str, stated: list[str], said: str
 ) -> None:
     hidden = [{"effect": "backlash", "axis": axis, "strength": "strong", "known": known}]
-    assert judged(hidden, effects, verdict, stated).startswith(said)
+    assert judged(hidden, effects, verdict, stated, Registry.load()).startswith(said)

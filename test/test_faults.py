@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +20,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import Workplace, workplace
 from sensor_msgs.msg import JointState
 
-from eps_tunnel_analysis.nodes.processes import executable
-from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.nodes.rig_processes import executable
+from eps_tunnel_analysis.recording.decode import read
 from eps_tunnel_analysis.recording.recording import Recording
 from labyrinth_msgs.srv import Record
+from labyrinth_sim.errors import InputError
 
 pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[1]
@@ -50,12 +52,12 @@ class Bench(Workplace):
         self.goal: tuple[float, float] | None = None
         self.node.create_subscription(JointState, STATES, self.states.append, 1000)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._note, 50)
-        self.publisher = self.node.create_publisher(JointState, COMMANDS, 50)
+        self.publisher: Any = None
         self.node.create_timer(0.02, self._command)
         self.record = self.node.create_client(Record, "/record")
         testbed = executable("labyrinth_hw", "testbed")
         self.processes.start("testbed", [testbed, "--config", self.folder / "slow.yaml", "--seed", "1"])
-        self.start("labyrinth_hw", "hw_node", config="healthy", connect_timeout=60.0)
+        self.start("labyrinth_hw", "hw_node", config="healthy", connect_timeout=60.0, arm="true")
         self.start("eps_tunnel_analysis", "analysis_node")
         self.more_states()
 
@@ -64,6 +66,8 @@ class Bench(Workplace):
 
     def _command(self) -> None:
         if self.goal is not None:
+            if self.publisher is None:  # only then, for the rig obeys one publisher
+                self.publisher = self.node.create_publisher(JointState, COMMANDS, 50)
             message = JointState(name=["motor_x", "motor_y"], position=list(self.goal))
             message.header.stamp = self.node.get_clock().now().to_msg()
             self.publisher.publish(message)
@@ -75,7 +79,7 @@ class Bench(Workplace):
     def recording(self, label: str) -> Path:
         """Starts one; returns the bag of /real."""
         folder = str(self.folder / "bags")
-        answer = self.call(self.record, Record.Request(start=True, folder=folder, label=label))
+        answer = self.call(self.record, Record.Request(start=True, folder=folder, label=label, sides=["real"]))
         assert answer.success, answer.message
         return next(Path(bag) for bag in answer.bags if bag.endswith("_real"))
 
@@ -85,12 +89,6 @@ class Bench(Workplace):
     def now(self) -> int:
         """ns of the clock that stamps."""
         return int(self.node.get_clock().now().nanoseconds)
-
-    def until_grown(self, bag: Path) -> int:
-        """Waits until more of the bag is written; returns its bytes."""
-        before = self.size(bag)
-        self.until(lambda: self.size(bag) > before)
-        return self.size(bag)
 
     def size(self, bag: Path) -> int:
         """Bytes written so far."""
@@ -118,6 +116,21 @@ def stamps_heard(bench: Bench) -> np.ndarray:
     return np.array([s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in bench.states])
 
 
+def written_until(bag: Path) -> int:
+    """The last stamp of a joint state that a reader finds in a bag still being written, ns; 0 before the first."""
+    try:
+        found = read(bag)
+    except InputError:
+        return 0
+    return int(found.stamps(STATES)[-1]) if STATES in found.topics else 0
+
+
+def first_kept(bench: Bench, found: Recording, begin: int) -> bool:
+    """Whether the first joint state heard here with a stamp from `begin` on, ns, is in the bag."""
+    heard = stamps_heard(bench)
+    return bool(heard[heard >= begin][0] in found.stamps(STATES))
+
+
 def share_kept(bench: Bench, found: Recording, begin: int, end: int) -> float:
     """Of the joint states heard here with stamps from `begin` to `end`, ns, how many are in the bag."""
     heard = stamps_heard(bench)
@@ -131,10 +144,9 @@ def test_a_full_disk_ends_the_recording_with_a_word_and_leaves_what_was_written(
     begin = bench.now()
     process = bench.processes._running["analysis_node"]
     bench.more_states(150)
-    # A slow disk delays the half-second chunks; the second one from now holds all that was measured before.
     before = bench.now()
-    bench.until_grown(bag)
-    room = bench.until_grown(bag)
+    bench.until(lambda: written_until(bag) > before)
+    written, room = read(bag).stamps(STATES), bench.size(bag)
     # No file of this process may grow further: what a full disk is to it.
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (room + 4096, room + 4096))
     bench.until(lambda: "recording stopped" in bench.told.get("analysis_node: recording", ""))
@@ -144,7 +156,10 @@ def test_a_full_disk_ends_the_recording_with_a_word_and_leaves_what_was_written(
     assert "What was written before can be read" in answer.message
     found = read(bag)
     assert not found.closed
-    assert share_kept(bench, found, begin, before) == 1.0
+    assert np.isin(written, found.stamps(STATES)).all()
+    assert first_kept(bench, found, begin)
+    # DDS keeps 50 messages for a listener that is not served.
+    assert share_kept(bench, found, begin, before) > 0.9
     bench.goal = (0.02, 0.0)
     bench.until(lambda: abs(bench.motor() - 0.02) < 0.004)
 
@@ -164,8 +179,8 @@ def test_a_killed_player_ends_motion_and_the_bag_shows_it(bench: Bench) -> None:
     assert found.closed
     last = found.stamps(COMMANDS)[-1]
     time, angle = 1e-9 * (found.stamps(STATES) - last), found.topics[STATES].columns["motor_x.position"]
-    # 200 ms to notice; then a period, the servo's delay of 20 ms, and room for a busy machine.
-    after = angle[time > 0.5]
+    # 200 ms to notice; then 30 of the node's own periods, which are longer on a busy machine, for the servo to stop in.
+    after = angle[time > 0.2][30:]
     assert len(after) > 30
     assert np.ptp(after) < 0.005, "encoder ticks and noise only"
     assert after.mean() < np.radians(5) - 0.02, "the goal was not reached"
@@ -179,7 +194,7 @@ def test_a_killed_hardware_node_leaves_a_gap_and_its_successor_goes_on(bench: Be
     bench.more_states(250)
     killed = bench.now()
     bench.kill("hw_node")
-    bench.start("labyrinth_hw", "hw_node", "hw_node_2", config="healthy")
+    bench.start("labyrinth_hw", "hw_node", "hw_node_2", config="healthy", arm="true")
     bench.goal = (-0.02, 0.0)
     bench.until(lambda: abs(bench.motor() + 0.02) < 0.004)
     there = bench.now()
@@ -189,6 +204,7 @@ def test_a_killed_hardware_node_leaves_a_gap_and_its_successor_goes_on(bench: Be
     assert bench.stop().success
     found = read(bag)
     assert found.closed
+    assert first_kept(bench, found, begin)
     # What a killed node had not delivered is lost with it; and DDS keeps 50 messages for a listener that is not served.
     assert share_kept(bench, found, begin, killed - SECOND) > 0.9
     assert share_kept(bench, found, there, end) > 0.9

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from short_sequence import SHORT
 
 from eps_tunnel_analysis.cli.main import main
-from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.recording.decode import read
 
 pytestmark = pytest.mark.realtime
 

@@ -46,7 +46,7 @@ POSITIONS = [
     name for name, unit in zip(load_rig("labyrinth").signals, load_rig("labyrinth").units, strict=True) if unit == "rad"
 ]
 TOPICS = {
-    name.replace("NS/", f"/{side}/").replace("SIGNAL", signal): kind
+    "/" + name.replace("NS", side).replace("SIGNAL", signal).lstrip("/"): kind
     for name, kind in nodes.topics().items()
     for side in ("real", "sim")
     for signal in POSITIONS

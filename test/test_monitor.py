@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page to watch in a real browser, on the emulated rig: load, play, diagnose, add, and the gap falls."""
 
+import os
+import re
 import socket
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
@@ -20,10 +23,12 @@ from browser import Page, browser, chromium
 from nodes_under_test import PATIENCE, Workplace, workplace
 from short_sequence import SHORT
 
-from eps_tunnel_analysis.nodes.monitor import main
-from eps_tunnel_analysis.nodes.processes import Processes, executable
+from eps_tunnel_analysis.nodes.monitor_node import main
+from eps_tunnel_analysis.nodes.rig_processes import executable
+from eps_tunnel_analysis.processes import Processes
 
 pytestmark = pytest.mark.realtime
+TOKEN = "a-token-that-is-long"
 FEW = "[gravity_load, return_spring]"
 IDLE = "!document.getElementById('diagnose').disabled"
 BUSY = "document.getElementById('diagnose').disabled"
@@ -51,7 +56,7 @@ class Watched:
         self.monitors += 1
         logs = self.place.folder / f"monitor_{self.monitors}"
         logs.mkdir()
-        given = {"port": self.port, "folder": self.place.folder / "out", "candidates": FEW}
+        given = {"port": self.port, "folder": self.place.folder / "out", "candidates": FEW, "token": TOKEN}
         parameters = [part for key, value in given.items() for part in ("-p", f"{key}:={value}")]
         with Processes(logs, self.place.environment) as processes:
             processes.start("monitor", [executable("eps_tunnel_analysis", "monitor"), "--ros-args", *parameters])
@@ -92,7 +97,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory, module_domain: int) -> Ite
         testbed = ["--config", "healthy", "--seed", "1", "--effect", "gravity_load.x=strong"]
         place.processes.start("testbed", [executable("labyrinth_hw", "testbed"), *testbed])
         place.until(lambda: len(list(ports.rglob("*"))) >= 3)
-        place.start("labyrinth_hw", "hw_node", config="healthy")
+        place.start("labyrinth_hw", "hw_node", config="healthy", arm="true", disarm_after=0.0)
         place.start("labyrinth_sim", "sim_node", model="labyrinth_manual")
         place.start("eps_tunnel_analysis", "analysis_node")
         place.start("eps_tunnel_analysis", "player", connect_timeout=40.0, silence_timeout=3.0, stall_timeout=0.3)
@@ -104,7 +109,7 @@ def test_the_loop_goes_round_in_a_browser(watched: Watched) -> None:
     page = watched.page
     with watched.monitor():
         page.look(1280, 900, dark=False)
-        page.open(f"http://127.0.0.1:{watched.port}/")
+        page.open(f"http://127.0.0.1:{watched.port}/?token={TOKEN}")
         watched.all_there()
         assert page.evaluate("document.getElementById('play').disabled")  # not armed
         page.evaluate("document.getElementById('sequence').value = 'short'")
@@ -137,10 +142,12 @@ def test_the_loop_goes_round_in_a_browser(watched: Watched) -> None:
 def test_the_page_connects_again_by_itself(watched: Watched) -> None:
     page = watched.page
     with watched.monitor():
-        page.open(f"http://127.0.0.1:{watched.port}/")
+        page.open(f"http://127.0.0.1:{watched.port}/?token={TOKEN}")
         watched.all_there()
         page.evaluate("window.same = true")
     watched.until("!document.getElementById('away').hidden")
+    assert page.evaluate("document.querySelectorAll('.chip.there').length") == 0
+    assert page.evaluate("document.getElementById('play').disabled")
     with watched.monitor():
         watched.until("document.getElementById('away').hidden")
         watched.all_there()
@@ -151,7 +158,7 @@ def test_the_page_of_another_origin_cannot_drive_the_rig_from_a_browser(watched:
     # The same machine under its other name is another origin, as a foreign site is.
     page = watched.page
     with watched.monitor():
-        page.open(f"http://localhost:{watched.port}/")
+        page.open(f"http://localhost:{watched.port}/?token={TOKEN}")
         watched.all_there()
         attempt = f"""new Promise(done => {{ const s = new WebSocket("ws://127.0.0.1:{watched.port}/live");
             s.onopen = () => done("open"); s.onerror = () => done("refused"); }})"""
@@ -163,6 +170,7 @@ WRONG = {
     "candidates:=[backlsh]": "backlash",
     "token:=short": "12",
     "host:=192.0.2.1": "host:=",
+    "ask_token:=maybe": "ask_token",
     "port:=99999": "65535",
     "prot:=1": "port",
 }
@@ -175,6 +183,35 @@ def test_wrong_parameters_end_with_code_2(
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     assert main(["--ros-args", "-p", "port:=0", "-p", parameter]) == 2
     assert WRONG[parameter] in capsys.readouterr().err
+
+
+def test_a_rig_that_other_machines_reach_is_never_without_a_token(
+    domain: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    assert main(["--ros-args", "-p", "host:=0.0.0.0", "-p", "port:=0", "-p", "ask_token:=false"]) == 2
+    assert "ask_token" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("parameters", "status"), [((), 403), (("-p", "ask_token:=false"), 200)])
+def test_other_programs_of_this_machine_need_the_printed_address(
+    parameters: tuple[str, ...], status: int, domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    with Processes(tmp_path, dict(os.environ)) as processes:
+        program = executable("eps_tunnel_analysis", "monitor")
+        processes.start("monitor", [program, "--ros-args", "-p", "port:=0", *parameters])
+        deadline = time.monotonic() + PATIENCE
+        while not (told := re.search(r"Open (http://127\.0\.0\.1:\d+/)(\S*)", processes.tail("monitor"))):
+            processes.check()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        connection = HTTPConnection(told[1].split("/")[2], timeout=PATIENCE)
+        for path, expected in (("/", status), (f"/{told[2]}", 200)):
+            connection.request("GET", path)
+            answer = connection.getresponse()
+            answer.read()
+            assert answer.status == expected
 
 
 def test_a_port_in_use_ends_with_code_2(

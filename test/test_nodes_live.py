@@ -19,7 +19,7 @@ from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
-from eps_tunnel_analysis.nodes.message_times import to_time
+from eps_tunnel_analysis.nodes.messages import to_time
 from eps_tunnel_analysis.sequence_file import parse_sequence
 from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed

@@ -2,15 +2,17 @@
 """What player and analysis node say to the parameters that they are started with."""
 
 import os
+import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
+rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
 
-from eps_tunnel_analysis.nodes.processes import executable
+from eps_tunnel_analysis.nodes.rig_processes import executable  # noqa: E402
 
 pytestmark = pytest.mark.realtime
 
@@ -45,9 +47,36 @@ def test_a_wrong_parameter_is_refused_with_exit_code_2(domain: int, name: str, p
     assert told in done.stderr
 
 
-def test_a_parameter_file_and_remapping_are_taken(domain: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("namespace", ["", "/rig1"])
+def test_a_parameter_file_and_remapping_are_taken(domain: int, tmp_path: Path, namespace: str) -> None:
     file = tmp_path / "params.yaml"
-    file.write_text("player: {ros__parameters: {sequence: paper_8s, connect_timeout: 0.5, sides: [real]}}\n")
-    done = started(domain, "player", "--params-file", str(file), "-r", "/real/joint_commands:=/other/targets")
+    file.write_text("/**/player: {ros__parameters: {sequence: paper_8s, connect_timeout: 0.5, sides: [real]}}\n")
+    space = ["-r", f"__ns:={namespace}"] if namespace else []
+    remapped = ["-r", f"{namespace}/real/joint_commands:=/other/targets"]
+    done = started(domain, "player", "--params-file", str(file), *space, *remapped)
     assert done.returncode == 1
     assert "Nobody listens to /other/targets" in done.stderr
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", ["player", "analysis_node"])
+def test_a_node_ends_on_a_signal_where_no_clock_runs(domain: int, tmp_path: Path, name: str, how: int) -> None:
+    command = [str(executable("eps_tunnel_analysis", name)), "--ros-args", "-p", "use_sim_time:=true"]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=domain)
+    watcher = rclpy.create_node("watcher", context=context)
+    node = subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    try:
+        end = time.monotonic() + 120.0
+        while name not in watcher.get_node_names():
+            assert time.monotonic() < end and node.poll() is None
+            time.sleep(0.05)
+        time.sleep(1.0)  # until it spins
+        node.send_signal(how)
+        _, errors = node.communicate(timeout=120)
+    finally:
+        node.kill()
+        watcher.destroy_node()
+        context.try_shutdown()
+    assert node.returncode == 0, errors

@@ -19,18 +19,19 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from action_msgs.msg import GoalStatus
-from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import Workplace, workplace
 from rclpy.action import ActionClient
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+from sensor_msgs.msg import JointState
 
 from eps_tunnel_analysis.compare import compare
+from eps_tunnel_analysis.nodes.messages import nanoseconds
+from eps_tunnel_analysis.nodes.pace import TOGETHER, both_clocks
 from eps_tunnel_analysis.nodes.play import TAIL
-from eps_tunnel_analysis.nodes.ticks import TOGETHER, both_clocks
-from eps_tunnel_analysis.recording.reader import read
+from eps_tunnel_analysis.recording.decode import read
 from eps_tunnel_analysis.recording.recording import Recording
-from eps_tunnel_analysis.recording.trials_from_bags import read_trials
+from eps_tunnel_analysis.recording.trials import read_trials
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import load_sequence
 from labyrinth_msgs.action import PlaySequence
@@ -54,27 +55,20 @@ class Rigs(Workplace):
     def begin(self) -> None:
         self.srg: list[Srg] = []
         self.samples: list[TunnelSample] = []
+        self.commands: dict[str, list[JointState]] = {"real": [], "sim": []}
         self.node.create_subscription(Srg, "/srg", self.srg.append, 10)
         self.node.create_subscription(TunnelSample, "/srg/tunnel", self.samples.append, 1000)
         self.client = ActionClient(self.node, PlaySequence, "/play_sequence")
         self.sequence = self.folder / "short.yaml"
         self.sequence.write_text(SEQUENCE, encoding="utf-8")
         self.start("labyrinth_sim", "sim_node", "sim_node", model="labyrinth_manual")
-        noisy = {"namespace": "/real", "noise": 0.0005, "seed": 3}
+        noisy = {"side": "real", "noise": 0.0005, "seed": 3}
         self.start("labyrinth_sim", "sim_node", "other_node", model="labyrinth_es_x", **noisy)
         self.start("eps_tunnel_analysis", "analysis_node")
         # Other work on this machine may hold a node up; a rig that is gone is silent for good.
         patience = {"silence_timeout": 20.0, "connect_timeout": 60.0, "rest_timeout": 60.0, "stall_timeout": 0.4}
         self.start("eps_tunnel_analysis", "player", **patience)
         self.until(self.client.server_is_ready)
-        told: list[str] = []
-        self.node.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda message: told.extend(s.name for s in message.status), 10
-        )
-        # The bags name the simulation's model, which the analysis node hears of once a second.
-        self.until(lambda: "analysis_node: samples" in told)
-        told.clear()
-        self.until(lambda: told.count("sim_node: simulation") > 2)
 
     def send(self, feedback: list[PlaySequence.Feedback] | None = None, **goal: Any) -> Any:
         """Sends a goal and returns its handle."""
@@ -99,12 +93,19 @@ def run(rigs: Rigs) -> tuple[PlaySequence.Result, list[PlaySequence.Feedback]]:
     """One run of two trials, recorded; while it lasts a second goal is refused."""
     feedback: list[PlaySequence.Feedback] = []
     folder = str(rigs.folder / "bags")
+    ears = [
+        rigs.node.create_subscription(JointState, f"/{side}/joint_commands", heard.append, 1000)
+        for side, heard in rigs.commands.items()
+    ]
+    rigs.until(lambda: all(ear.get_publisher_count() for ear in ears))
     first = rigs.send(feedback, sequence=str(rigs.sequence), record=True, folder=folder)
     second = rigs.send(sequence="paper_8s")
     assert not second.accepted
     answer = rigs.outcome(first)
     assert answer.result.success, answer.result.message
     assert answer.status == GoalStatus.STATUS_SUCCEEDED
+    for ear in ears:
+        rigs.node.destroy_subscription(ear)
     return answer.result, feedback
 
 
@@ -169,6 +170,14 @@ def check_commands(bags: list[str], command: Command) -> None:
 def test_both_sides_get_the_same_commands_with_the_same_stamps(rigs: Rigs, run: Any) -> None:
     check_commands(run[0].bags, load_sequence(rigs.sequence).commands[0])
     assert phases(read(run[0].bags[0])) == ["start", "end", "start", "end"]
+
+
+def test_the_first_command_is_in_the_bag(rigs: Rigs, run: Any) -> None:
+    for bag, (side, heard) in zip(run[0].bags, rigs.commands.items(), strict=True):
+        stamps = read(bag).stamps(f"/{side}/joint_commands")
+        first = nanoseconds(heard[0].header.stamp)
+        assert first in stamps
+        assert first - stamps[0] < 0.1e9, "what was heard here began with the play"
 
 
 def test_two_clocks_that_something_came_between_are_read_again() -> None:
@@ -252,7 +261,7 @@ def test_a_cancelled_run_ends_with_aborted_marks_and_whole_bags(rigs: Rigs, run:
 
 def test_a_trial_that_a_stall_of_the_player_spoiled_is_begun_anew(rigs: Rigs, run: Any) -> None:
     path = rigs.folder / "long.yaml"
-    path.write_text(SEQUENCE.replace("lasts_s: 1.2", "lasts_s: 6"), encoding="utf-8")
+    path.write_text(SEQUENCE.replace("lasts_s: 1.2", "lasts_s: 4"), encoding="utf-8")
     feedback: list[PlaySequence.Feedback] = []
     handle = rigs.send(feedback, sequence=str(path), trials=1, record=True, folder=str(rigs.folder / "stalled"))
     rigs.until(lambda: feedback and feedback[-1].phase == "playing")
@@ -269,14 +278,14 @@ def test_a_trial_that_a_stall_of_the_player_spoiled_is_begun_anew(rigs: Rigs, ru
         assert {mark.trial for mark in recording.marks} == {0}
         trials = read_trials([bag]).trials
         assert trials.count == 1
-        assert len(trials.time) == 601
+        assert len(trials.time) == 401
     check_commands(result.bags, load_sequence(path).commands[0])
 
 
 def test_each_command_of_a_sequence_goes_into_bags_of_its_own(rigs: Rigs, run: Any) -> None:
     text = (ROOT / "config" / "sequences" / "rotations_x.yaml").read_text(encoding="utf-8")
-    content = yaml.safe_load(text)
-    content["commands"] = {name: content["commands"][name] for name in ("-2.0deg", "+0.5deg", "+5.0deg")}
+    content = yaml.safe_load(text.replace("lasts_s: 2}", "lasts_s: 0.6}"))
+    content["commands"] = {name: content["commands"][name] for name in ("-2.0deg", "+5.0deg")}
     path = rigs.folder / "rotations.yaml"
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     folder = rigs.folder / "rotations"
@@ -331,7 +340,7 @@ def test_the_parameter_file_names_every_parameter_at_its_default(rigs: Rigs) -> 
         declared = rigs.result(asked.list_parameters([], 0)).result.names
         own = [p for p in declared if p.split(".")[0] not in ("use_sim_time", "start_type_description_service",
                                                               "qos_overrides")]  # fmt: skip
-        values = yaml.safe_load(file.read_text(encoding="utf-8"))[name]["ros__parameters"]
+        values = yaml.safe_load(file.read_text(encoding="utf-8"))[f"/**/{name}"]["ros__parameters"]
         assert sorted(values) == sorted(own)
         given = rigs.result(asked.get_parameters(own)).values
         told = {p: parameter_value_to_python(v) for p, v in zip(own, given, strict=True)}

@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from nodes_under_test import Workplace, workplace
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.nodes.processes import executable
+from eps_tunnel_analysis.nodes.rig_processes import executable
 from eps_tunnel_analysis.recording import BagWriter, read_trials
-from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL, typestore
+from eps_tunnel_analysis.recording.decode import JOINT_STATE, TRIAL, typestore
 from labyrinth_msgs.msg import LiveCounters, Srg
 
 pytestmark = pytest.mark.realtime

@@ -31,9 +31,9 @@ def test_every_interface_is_on_it_with_every_field() -> None:
     for kind in messages.PARTS:
         for file in messages.files(kind):
             text = PAGE.split(f"### `labyrinth_msgs/{kind}/{file.stem}`")[1].split("\n### ")[0]
-            names = [field.name for field in messages.fields(file)]
+            names = [name for part in messages.parts(file).values() for name, *_ in messages.rows(part)]
             assert names
-            assert all(f"| `{name}" in text for name in names), file.name
+            assert all(f"| {name} |" in text for name in names), file.name
 
 
 def test_every_parameter_in_the_parameter_file_is_on_it() -> None:
@@ -41,5 +41,7 @@ def test_every_parameter_in_the_parameter_file_is_on_it() -> None:
 
     file = ROOT / "config" / "nodes" / "eps_tunnel_analysis.yaml"
     for node, content in yaml.safe_load(file.read_text(encoding="utf-8")).items():
-        declared = {p.name for p in nodes.parameters(nodes.executables("eps_tunnel_analysis")[node])}
+        declared = {
+            p.name for p in nodes.parameters(nodes.executables("eps_tunnel_analysis")[node.removeprefix("/**/")])
+        }
         assert set(content["ros__parameters"]) <= declared, node

@@ -1,20 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stand-in for `ros2`, as processes against a node that is really there."""
+"""The stand-in for `ros2` against a node that is really there.
 
+What becomes or starts processes, or ends on a signal, is run as one; the other commands are called in this process, for
+to start Python takes longer than they do.
+"""
+
+import io
 import os
 import signal
 import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 import yaml
 
-pytestmark = pytest.mark.realtime
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
+
+from ros2_standin.cli import main
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(300)]
 ROS2 = Path(__file__).resolve().parents[1] / "tools" / "bin" / "ros2"
 ENVIRONMENT = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+PROCESSES = ("run", "launch")
 
 NODE = """
 import rclpy
@@ -22,6 +33,8 @@ from labyrinth_msgs.action import PlaySequence
 from labyrinth_msgs.msg import BallState
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.action import ActionServer
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -48,9 +61,13 @@ def play(handle):
     return PlaySequence.Result(success=True, message="played " + handle.request.sequence, bags=["a.mcap"])
 
 node.create_service(SetBool, "arm", arm)
+gate = LifecycleNode("gate", namespace="/real", enable_communication_interface=True)
 server = ActionServer(node, PlaySequence, "/play_sequence", play)
 print("ready", flush=True)
-rclpy.spin(node)
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+executor.add_node(gate)
+executor.spin()
 """
 
 
@@ -67,16 +84,31 @@ def rig(module_domain: int) -> Iterator[None]:
         process.wait()
 
 
-def ros2(*arguments: str, stdin: str | None = None, **environment: str) -> tuple[int, str, str]:
+def ros2(*arguments: str, **environment: str) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of one command."""
+    if arguments[:1] and arguments[0] in PROCESSES:
+        return process(*arguments, **environment)
+    out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        for name, value in {**ENVIRONMENT, **environment}.items():
+            patch.setenv(name, value)
+        try:
+            code = main(arguments)
+        except SystemExit as end:
+            code = end.code
+    out.flush()
+    out.seek(0)
+    # As sys.exit does it with text.
+    told = f"{err.getvalue()}{code}\n" if isinstance(code, str) else err.getvalue()
+    return 1 if isinstance(code, str) else code or 0, out.read(), told
+
+
+def process(*arguments: str, **environment: str) -> tuple[int, str, str]:
+    """The same of a process."""
     done = subprocess.run(
-        [sys.executable, str(ROS2), *arguments],
-        env={**ENVIRONMENT, **environment},
-        input=stdin,
-        capture_output=True,
-        text=True,
+        [sys.executable, str(ROS2), *arguments], env={**ENVIRONMENT, **environment}, capture_output=True, text=True,
         timeout=120,
-    )
+    )  # fmt: skip
     return done.returncode, done.stdout, done.stderr
 
 
@@ -98,16 +130,15 @@ def test_topic_list_shows_names_and_types() -> None:
 
 
 def test_topic_echo_prints_a_message_as_yaml_and_a_separator() -> None:
-    code, out, _ = ros2("topic", "echo", "--once", "/real/ball")
+    code, out, _ = process("topic", "echo", "--once", "/real/ball")
     body, separator, rest = out.partition("---\n")
     assert (code, separator, rest) == (0, "---\n", "")
     assert out.startswith("header:\n  stamp:\n    sec: 0\n    nanosec: 0\n  frame_id: board\nvisible: true\nx: 0.125\n")
     assert yaml.safe_load(body)["y"] == 0.0625
 
 
-def test_topic_echo_selects_fields_and_writes_csv() -> None:
+def test_topic_echo_selects_fields() -> None:
     assert ros2("topic", "echo", "--once", "/real/ball", "--field", "header.frame_id") == (0, "board\n---\n", "")
-    assert ros2("topic", "echo", "--once", "/real/ball", "--csv") == (0, "0,0,board,True,0.125,0.0625\n", "")
     code, _, err = ros2("topic", "echo", "--once", "/real/ball", "--field", "nope")
     assert (code, err.splitlines()[0].startswith("Invalid field 'nope':")) == (1, True)
 
@@ -128,7 +159,7 @@ def test_topic_info_counts_the_ends() -> None:
     code, out, _ = ros2("topic", "info", "-v", "/real/ball")
     assert code == 0
     assert "Node name: rig\n" in out
-    assert ros2("topic", "info", "/nope")[::2] == (1, "Unknown topic '/nope'\n")
+    assert process("topic", "info", "/nope")[::2] == (1, "Unknown topic '/nope'\n")
     assert ros2("topic", "type", "/real/ball")[:2] == (0, "labyrinth_msgs/msg/BallState\n")
 
 
@@ -175,7 +206,72 @@ def test_topic_pub_reaches_a_subscriber_and_refuses_a_wrong_field() -> None:
 
 
 def test_node_list_names_the_node_once() -> None:
-    assert listed("node", "list", line="/real/rig") == ["/real/rig"]
+    assert listed("node", "list", line="/real/rig") == ["/real/gate", "/real/rig"]
+
+
+def test_node_info_tells_what_the_node_offers() -> None:
+    code, out, _ = ros2("node", "info", "/real/rig")
+    assert code == 0
+    titles = [line.strip() for line in out.splitlines() if line.startswith("  ") and line.endswith(":")]
+    assert titles == [
+        "Subscribers:",
+        "Publishers:",
+        "Service Servers:",
+        "Service Clients:",
+        "Action Servers:",
+        "Action Clients:",
+    ]
+    assert "    /real/ball: labyrinth_msgs/msg/BallState\n" in out.split("Publishers:")[1].split("Service Servers:")[0]
+    assert "    /play_sequence: labyrinth_msgs/action/PlaySequence\n" in out.split("Action Servers:")[1]
+    assert ros2("node", "info", "/nope")[::2] == (1, "Unable to find node '/nope'\n")
+
+
+def test_action_info_names_clients_and_servers() -> None:
+    code, out, _ = ros2("action", "info", "-t", "/play_sequence")
+    assert code == 0
+    assert out == (
+        "Action: /play_sequence\nAction clients: 0\nAction servers: 1\n"
+        "    /real/rig [labyrinth_msgs/action/PlaySequence]\n"
+    )
+
+
+def test_interfaces_are_listed_by_kind() -> None:
+    code, out, _ = ros2("interface", "list")
+    assert code == 0
+    assert [line for line in out.splitlines() if line[0] != " "] == ["Messages:", "Services:", "Actions:"]
+    assert ros2("interface", "list", "-a")[1] in out
+    assert "    labyrinth_msgs/action/PlaySequence\n" in out
+    assert "_" not in "".join(line.split("/")[-1] for line in out.splitlines() if line[0] == " ")
+
+
+def test_parameters_are_dumped_to_a_file_and_loaded_from_it(tmp_path: Path) -> None:
+    code, out, _ = ros2("param", "dump", "/real/rig")
+    assert code == 0
+    tree = yaml.safe_load(out)
+    parameters = tree["/real/rig"]["ros__parameters"]
+    assert parameters["axes"] == ["x", "y"]
+    parameters.clear()
+    parameters.update(rate=33.0, axes=["z"])
+    file = tmp_path / "rig.yaml"
+    file.write_text(yaml.safe_dump(tree))
+    code, out, _ = ros2("param", "load", "/real/rig", str(file))
+    assert (code, sorted(out.splitlines())) == (
+        0,
+        ["Set parameter axes successful", "Set parameter rate successful"],
+    )
+    assert ros2("param", "get", "--hide-type", "/real/rig", "rate")[1] == "33.0\n"
+    ros2("param", "set", "/real/rig", "axes", "[x, y]")
+    assert ros2("param", "load", "/real/rig", str(tmp_path / "none.yaml"))[0] == 1
+
+
+def test_a_lifecycle_node_is_taken_from_state_to_state() -> None:
+    assert listed("lifecycle", "nodes", line="/real/gate") == ["/real/gate"]
+    assert ros2("lifecycle", "get", "/real/gate")[:2] == (0, "unconfigured [1]\n")
+    assert "- configure [1]\n\tStart: unconfigured\n\tGoal: configuring\n" in ros2("lifecycle", "list", "/real/gate")[1]
+    assert ros2("lifecycle", "set", "/real/gate", "configure")[:2] == (0, "Transitioning successful\n")
+    assert ros2("lifecycle", "get")[1] == "/real/gate: inactive [2]\n"
+    code, _, err = ros2("lifecycle", "set", "/real/gate", "configure")
+    assert (code, err.splitlines()[0]) == (1, "Unknown transition requested, available ones are:")
 
 
 def test_parameters_are_listed_read_and_set() -> None:
@@ -236,19 +332,30 @@ def test_interface_show_unfolds_nested_types() -> None:
 
 
 def test_unknown_words_are_usage_errors() -> None:
+    assert process("nope")[0] == 2
     for words in (["nope"], ["topic", "nope"], ["topic", "echo"], ["topic", "list", "--nope"]):
         code, out, err = ros2(*words)
         assert (code, out) == (2, "")
         assert err.startswith("usage: ros2")
-    code, _, err = ros2("bag", "record")
-    assert code == 2
-    assert "ros2bag" in err
 
 
-def test_help_is_no_error() -> None:
+def test_help_says_at_once_that_this_is_a_stand_in_and_what_the_real_one_has_besides() -> None:
     for words in ([], ["-h"], ["topic"], ["topic", "echo", "-h"]):
-        code, out, err = ros2(*words)
+        code, out, err = ros2(*words, COLUMNS="1000")
         assert (code, out[:11], err) == (0, "usage: ros2", "")
+    first = ros2(COLUMNS="1000")[1].split("\n\n")[1]
+    assert first.startswith("This is a stand-in for the `ros2` of ROS 2")
+    for missing in ("bag", "daemon", "topic bw, delay, find", "service echo"):
+        assert missing in first
+
+
+def test_what_only_the_real_one_has_is_named_as_such() -> None:
+    for words, name in ((["bag", "record"], "bag"), (["topic", "bw", "/x"], "topic bw"), (["daemon"], "daemon")):
+        code, out, err = ros2(*words)
+        assert (code, out) == (2, "")
+        assert err.startswith(
+            f"ros2: this is a stand-in for the `ros2` of ROS 2, which PyPI does not have, and it has no `{name}`."
+        )
 
 
 @pytest.fixture
@@ -295,3 +402,116 @@ def test_run_passes_the_exit_code_on_and_names_what_is_missing(prefix: str) -> N
     assert ros2("run", "nope", "wait", AMENT_PREFIX_PATH=prefix)[::2] == (1, "Package 'nope' not found\n")
     assert ros2("pkg", "executables", "tiny", AMENT_PREFIX_PATH=prefix)[:2] == (0, "tiny wait\n")
     assert ros2("pkg", "prefix", "nope")[::2] == (1, "Package not found\n")
+
+
+LAUNCH = """
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.conditions import IfCondition, UnlessCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node, PushROSNamespace
+from launch_ros.parameter_descriptions import ParameterValue
+
+
+def generate_launch_description():
+    given = LaunchConfiguration("given")
+    values = {"as_text": ParameterValue(given, value_type=str), "as_yaml": given, "fixed": [1.5, 2.5]}
+    return LaunchDescription([
+        DeclareLaunchArgument("given", description="A number."),
+        DeclareLaunchArgument("both", default_value="false", description="Whether there are two."),
+        GroupAction([
+            PushROSNamespace("outer"),
+            Node(package="tiny", executable="wait", name="n", namespace="inner", parameters=[values],
+                 remappings=[("a", "b")], arguments=["--tell", given]),
+        ]),
+        Node(package="tiny", executable="wait", arguments=["second"],
+             condition=IfCondition(LaunchConfiguration("both"))),
+        Node(package="tiny", executable="wait", arguments=["--fail"], condition=UnlessCondition("0")),
+    ])
+"""
+
+
+def test_launch_starts_what_the_file_says_and_ends_it_on_a_signal(prefix: str, tmp_path: Path) -> None:
+    file = tmp_path / "tiny.launch.py"
+    file.write_text(LAUNCH)
+    environment = {**ENVIRONMENT, "AMENT_PREFIX_PATH": prefix}
+    process = subprocess.Popen(
+        [sys.executable, str(ROS2), "launch", str(file), "given:=7"], env=environment, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        said = ""
+        while "--ros-args" not in said or "died" not in said:
+            said += process.stdout.readline()
+        line = next(line for line in said.splitlines() if "--ros-args" in line and line.startswith("[wait-1] "))
+        words = line.split()[2:]
+        parameters = yaml.safe_load(Path(words[words.index("--params-file") + 1]).read_text())
+        process.send_signal(signal.SIGTERM)
+        out, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert words[:7] == ["--tell", "7", "--ros-args", "-r", "__node:=n", "-r", "__ns:=/outer/inner"]
+    assert words[-2:] == ["-r", "a:=b"]
+    assert parameters == {"/**": {"ros__parameters": {"as_text": "7", "as_yaml": 7, "fixed": [1.5, 2.5]}}}
+    assert "second" not in said
+    assert "[wait-2]: process has died" in said
+    assert "exit code 3" in said
+    assert "[wait-1]: sending signal 'SIGINT' to process[wait-1]" in out
+    assert process.returncode == 0
+
+
+def test_launch_says_what_is_wrong(prefix: str, tmp_path: Path) -> None:
+    file = tmp_path / "tiny.launch.py"
+    file.write_text(LAUNCH)
+    for words, told in (
+        ([str(file)], "Required launch argument 'given' was not provided"),
+        ([str(file), "given"], "malformed launch argument 'given'"),
+        (["tiny", "none.launch.py"], "file 'none.launch.py' was not found in the share directory of package 'tiny'"),
+        (["nope", "none.launch.py"], "Package 'nope' not found"),
+    ):
+        code, _, err = ros2("launch", *words, AMENT_PREFIX_PATH=prefix)
+        assert (code, told in err) == (1, True), err
+    file.write_text("from launch.actions import OpaqueFunction")
+    code, _, err = ros2("launch", str(file), AMENT_PREFIX_PATH=prefix)
+    assert (code, "OpaqueFunction" in err, "install ROS 2" in err) == (1, True, True)
+
+
+def test_our_launch_files_show_their_arguments() -> None:
+    for package, file, name in (
+        ("eps_tunnel_analysis", "study.launch.py", "emulated"),
+        ("labyrinth_hw", "hw.launch.py", "config"),
+        ("labyrinth_hw", "testbed.launch.py", "seed"),
+        ("labyrinth_sim", "sim.launch.py", "model"),
+    ):
+        code, out, _ = ros2("launch", "-s", package, file)
+        assert (code, f"    '{name}':\n" in out) == (0, True)
+
+
+def test_our_launch_files_bring_up_a_rig_and_its_simulation(tmp_path: Path) -> None:
+    # The study includes the three other files.
+    arguments = ("testbed_config:=healthy", "hw_config:=healthy", "model:=labyrinth_mx64")
+    process = subprocess.Popen(
+        [sys.executable, str(ROS2), "launch", "eps_tunnel_analysis", "study.launch.py", *arguments],
+        env={**ENVIRONMENT, "LABYRINTH_TESTBED_DIR": str(tmp_path / "links")},
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        nodes = {"/analysis_node", "/hw_node", "/player", "/sim_node"}
+        for _ in range(20):
+            if nodes <= set(ros2("node", "list")[1].split()):
+                break
+        assert nodes <= set(ros2("node", "list")[1].split())
+        assert ros2("param", "get", "--hide-type", "/sim_node", "model")[1] == "labyrinth_mx64\n"
+        assert ros2("param", "get", "--hide-type", "/hw_node", "config")[1] == "healthy\n"
+        assert ros2("topic", "echo", "--once", "--timeout", "60", "/real/joint_states", "--field", "name")[0] == 0
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=60)
+    finally:
+        process.terminate()
+        process.wait(timeout=60)
+    assert process.returncode == 0, out
+    assert "process has died" not in out

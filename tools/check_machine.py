@@ -36,7 +36,7 @@ def complaints(ros_installed: bool) -> Iterator[str]:
     if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
         yield (
             f"ROS 2 from PyPI exists for x86-64 Linux only and this is {platform.system()} on {platform.machine()}. "
-            "Install ROS 2 Jazzy or Kilted, source its setup file and run `make setup` again."
+            "Install ROS 2 Jazzy, Kilted or Lyrical, source its setup file and run `make setup` again."
         )
     if sys.version_info >= (3, 15):
         yield f"ROS 2 from PyPI ends at Python 3.14 and this is {version}. Run `make setup PYTHON=/path/to/python3.11`."

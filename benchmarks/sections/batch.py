@@ -18,12 +18,14 @@ from labyrinth_sim.simulate import numbers_of, simulate_batch
 
 CORES = len(os.sched_getaffinity(0))
 SIZES = (1, 10, 100, 1000, 10_000)
+SMALL = {8: 40, 64: 10}
+"""Size of a batch -> calls that are timed together."""
 SAMPLES = 201
 REPEATS = 5
 
 
 def measure() -> dict[str, float]:
-    """`batch_vs_limit`, `batch_vs_limit_per_step`, and steps per second by size of batch."""
+    """`batch_vs_limit`, also of small batches, `batch_vs_limit_per_step`, and steps per second by size of batch."""
     plain = load_model("labyrinth_manual")
     native = plain.with_effect("belt_compliance", "x").with_effect("coulomb_friction", "y")
     per_step = plain.with_effect("stribeck_friction", "x").with_effect("load_friction", "y")
@@ -37,6 +39,9 @@ def measure() -> dict[str, float]:
                 rates.append(rate(model, 1000))
                 ratios.append(rates[-1] / limits[-1])
             figures |= {key: float(np.median(ratios)), f"{key}_steps_per_s": max(rates), f"{key}_limit": max(limits)}
+        for size, calls in SMALL.items():
+            pairs = [(rate(native, size, calls), run_loop(program, native, Path(folder))) for _ in range(REPEATS)]
+            figures[f"batch_vs_limit_{size}"] = float(np.median([own / limit for own, limit in pairs]))
     for size in SIZES:
         figures[f"batch_steps_per_s_{size}"] = rate(native, size)
         # The peak only ever grows, so each size shows its own need as long as the sizes do.
@@ -44,14 +49,16 @@ def measure() -> dict[str, float]:
     return figures
 
 
-def rate(model: Model, size: int) -> float:
-    """Steps per second of one call: parameters set, commands filtered, everything recorded."""
+def rate(model: Model, size: int, calls: int = 1) -> float:
+    """Steps per second of some calls: parameters set, commands filtered, everything recorded."""
     time_grid = np.arange(SAMPLES) * 0.01
     commands = 0.05 * np.sin(5 * time_grid)[None, :, None] * np.array([1.0, -1.0])
     values = np.linspace(5.0, 20.0, size)[:, None]
     begin = time.perf_counter()
-    result = simulate_batch(model, ["drive.x.p"], values, time_grid, commands, nthread=CORES)
-    return result.steps / (time.perf_counter() - begin)
+    steps = sum(
+        simulate_batch(model, ["drive.x.p"], values, time_grid, commands, nthread=CORES).steps for _ in range(calls)
+    )
+    return steps / (time.perf_counter() - begin)
 
 
 def build_loop(folder: Path) -> Path:

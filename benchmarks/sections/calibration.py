@@ -19,12 +19,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from batch import CORES, build_loop, run_loop
 
 from eps_tunnel_analysis.fit.calibrate import METHODS, Settings, make_problem
-from eps_tunnel_analysis.fit.es import EvolutionStrategy
 from eps_tunnel_analysis.fit.evaluations import Evaluations
-from eps_tunnel_analysis.fit.objective import Objective
-from eps_tunnel_analysis.fit.problem import Problem
-from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.fit.methods import EvolutionStrategy
+from eps_tunnel_analysis.fit.problem import Objective, Problem
 from eps_tunnel_analysis.sequence_file import find_sequence
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import run_offline
 from labyrinth_sim.model import load_model

@@ -12,7 +12,7 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 
 from eps_tunnel_analysis.recording import BagWriter, read_trials
-from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE, typestore
+from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE, typestore
 
 SECONDS = 3600.0
 RATE = 100.0

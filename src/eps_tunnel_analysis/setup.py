@@ -1,11 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
-CONFIG = HERE.parents[1] / "config"
+# colcon puts programs into lib/PACKAGE, where `ros2 run` looks (setup.cfg). pip would put them on PATH, where a name
+# such as `demo` is not ours to take.
+BY_PIP = bool({"bdist_wheel", "dist_info", "editable_wheel"} & set(sys.argv))
+PROGRAMS = {
+    "console_scripts": [
+        "player = eps_tunnel_analysis.nodes.player:main",
+        "analysis_node = eps_tunnel_analysis.nodes.analysis_node:main",
+        "calibrate_node = eps_tunnel_analysis.nodes.calibrate_node:main",
+        "monitor = eps_tunnel_analysis.nodes.monitor_start:main",
+        "demo = eps_tunnel_analysis.nodes.demo:main",
+        "eps_tunnel = eps_tunnel_analysis.cli.main:main",
+    ],
+}
+ENTRY_POINTS = {"console_scripts": ["eps-tunnel = eps_tunnel_analysis.cli.main:main"]} if BY_PIP else PROGRAMS
 
 
 def relative(path: Path) -> str:
@@ -37,15 +51,12 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/eps_tunnel_analysis"]),
         ("share/eps_tunnel_analysis", ["package.xml"]),
         *tree(HERE / "launch", "share/eps_tunnel_analysis/launch"),
-        *(
-            entry
-            for kind in ("nodes", "sequences")
-            for entry in tree(CONFIG / kind, f"share/eps_tunnel_analysis/config/{kind}")
-        ),
+        *tree(HERE / "config", "share/eps_tunnel_analysis/config"),
         # colcon puts an installed bin/ on PATH, so `eps-tunnel` needs no `ros2 run`.
-        ("bin", [relative(HERE / "scripts" / "eps-tunnel")]),
+        *([] if BY_PIP else [("bin", [relative(HERE / "scripts" / "eps-tunnel")])]),
     ],
     install_requires=[
+        "argcomplete",
         "cma",
         "jinja2",
         "labyrinth_sim",
@@ -54,7 +65,7 @@ setup(
         "mcap",
         "mujoco",
         "numpy",
-        "plotly",
+        "pydantic",
         "pyyaml",
         "rich",
         "rosbags",
@@ -63,20 +74,13 @@ setup(
         "tqdm",
         "zstandard",
     ],
+    # What tells `colcon test` to run pytest.
+    extras_require={"test": ["hypothesis", "pytest"]},
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@users.noreply.github.com",
     description="How far a simulation is from a real rig, where, and which physical effect the model lacks.",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "player = eps_tunnel_analysis.nodes.player:main",
-            "analysis_node = eps_tunnel_analysis.nodes.analysis_node:main",
-            "calibrate_node = eps_tunnel_analysis.nodes.calibrate_node:main",
-            "monitor = eps_tunnel_analysis.nodes.monitor:main",
-            "demo = eps_tunnel_analysis.nodes.demo:main",
-            "eps_tunnel = eps_tunnel_analysis.cli.main:main",
-        ],
-    },
+    entry_points=ENTRY_POINTS,
 )

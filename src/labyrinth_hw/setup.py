@@ -1,11 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
-CONFIG = HERE.parents[1] / "config"
+# colcon puts programs into lib/PACKAGE, where `ros2 run` looks (setup.cfg). pip would put them on PATH, where a name
+# such as `testbed` is not ours to take.
+BY_PIP = bool({"bdist_wheel", "dist_info", "editable_wheel"} & set(sys.argv))
+PROGRAMS = {
+    "console_scripts": [
+        "controller_forwarder = labyrinth_hw.nodes.controller_forwarder:main",
+        "hw_node = labyrinth_hw.nodes.hw_node:main",
+        "testbed = labyrinth_hw.testbed.command_line:main",
+        "calibrate_motors = labyrinth_hw.nodes.calibrate_motors:main",
+        "calibrate_camera = labyrinth_hw.nodes.calibrate_camera:main",
+    ],
+}
 
 
 def relative(path: Path) -> str:
@@ -34,21 +46,26 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/labyrinth_hw"]),
         ("share/labyrinth_hw", ["package.xml"]),
         *tree(HERE / "launch", "share/labyrinth_hw/launch"),
-        *(entry for kind in ("testbed", "hw") for entry in tree(CONFIG / kind, f"share/labyrinth_hw/config/{kind}")),
+        *tree(HERE / "config", "share/labyrinth_hw/config"),
     ],
-    install_requires=["dynamixel-sdk", "numpy", "opencv-python-headless", "pyserial", "pyyaml", "rosbags", "tqdm"],
+    install_requires=[
+        "dynamixel-sdk",
+        "mcap",
+        "numpy",
+        "opencv-python-headless",
+        "pydantic",
+        "pyserial",
+        "pyyaml",
+        "rosbags",
+        "tqdm",
+    ],
+    # What tells `colcon test` to run pytest.
+    extras_require={"test": ["pytest"]},
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@users.noreply.github.com",
     description="Servo bus, camera and ball tracker of the labyrinth rig, and an emulated testbed.",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "hw_node = labyrinth_hw.nodes.hw_node:main",
-            "testbed = labyrinth_hw.nodes.testbed:main",
-            "calibrate_motors = labyrinth_hw.nodes.calibrate_motors:main",
-            "calibrate_camera = labyrinth_hw.nodes.calibrate_camera:main",
-        ],
-    },
+    entry_points={} if BY_PIP else PROGRAMS,
 )

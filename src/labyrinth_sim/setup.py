@@ -1,11 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
-CONFIG = HERE.parents[1] / "config"
+# colcon puts programs into lib/PACKAGE, where `ros2 run` looks (setup.cfg). pip would put them on PATH, where a name
+# such as `urdf` is not ours to take.
+BY_PIP = bool({"bdist_wheel", "dist_info", "editable_wheel"} & set(sys.argv))
+PROGRAMS = {
+    "console_scripts": [
+        "sim_node = labyrinth_sim.nodes.sim_node:main",
+        "urdf = labyrinth_sim.urdf:main",
+    ],
+}
 
 
 def relative(path: Path) -> str:
@@ -34,23 +43,16 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/labyrinth_sim"]),
         ("share/labyrinth_sim", ["package.xml"]),
         *tree(HERE / "launch", "share/labyrinth_sim/launch"),
-        ("share/labyrinth_sim/config", sorted(relative(file) for file in CONFIG.glob("*.yaml"))),
-        *(
-            entry
-            for kind in ("rigs", "models", "mjcf")
-            for entry in tree(CONFIG / kind, f"share/labyrinth_sim/config/{kind}")
-        ),
+        *tree(HERE / "config", "share/labyrinth_sim/config"),
     ],
-    install_requires=["mujoco", "numpy", "opencv-python-headless", "pyyaml", "scipy"],
+    install_requires=["mujoco", "numba", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "scipy"],
+    # What tells `colcon test` to run pytest.
+    extras_require={"test": ["hypothesis", "pytest"]},
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@users.noreply.github.com",
     description="Rigs, models and physical effects as data, simulated in MuJoCo one by one or in batches.",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "sim_node = labyrinth_sim.nodes.sim_node:main",
-        ],
-    },
+    entry_points={} if BY_PIP else PROGRAMS,
 )

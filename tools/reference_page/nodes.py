@@ -22,19 +22,20 @@ ENDS = {
     "OneGoal": "serves the action",
     "ActionClient": "calls the action",
 }
-NAMESPACE = {"prefix", "name", "self.name", "side"}  # variables that hold /real or /sim, or the word without slash
+NAMESPACE = {"prefix", "name", "self.name", "side"}  # variables that hold real or sim
 UNIT = re.compile(r"\s*\[([^\]]*)\]$")
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter as declared; everything in the words of the source."""
+    """A parameter as declared, in the words of the source; `changes`: whether it may be set while the node runs."""
 
     name: str
     default: str
     unit: str
     bounds: str
     text: str
+    changes: bool
 
 
 @dataclass(frozen=True)
@@ -46,15 +47,22 @@ class End:
     kind: str
 
 
-def executables(package: str) -> dict[str, Path]:
-    """Executable -> source file, from setup.py."""
-    for node in ast.walk(ast.parse((ROOT / "src" / package / "setup.py").read_text(encoding="utf-8"))):
+@cache
+def targets(package: str) -> dict[str, tuple[str, str]]:
+    """Executable -> module and function, as setup.py declares it; NAME_start only announces NAME_node."""
+    for node in ast.walk(parsed(ROOT / "src" / package / "setup.py")):
         if isinstance(node, ast.Dict):
             for key, value in zip(node.keys, node.values, strict=True):
                 if isinstance(key, ast.Constant) and key.value == "console_scripts":
-                    pairs = [line.split(" = ") for line in ast.literal_eval(value)]
-                    return {name: file_of(target.split(":")[0]) for name, target in pairs}
+                    lines = [line.replace(" ", "").replace("_start:", "_node:") for line in ast.literal_eval(value)]
+                    pairs = [line.split("=") for line in lines]
+                    return {name: (target.split(":")[0], target.split(":")[1]) for name, target in pairs}
     return {}
+
+
+def executables(package: str) -> dict[str, Path]:
+    """Executable -> source file."""
+    return {name: file_of(module) for name, (module, _) in targets(package).items()}
 
 
 def file_of(module: str) -> Path:
@@ -65,17 +73,15 @@ def file_of(module: str) -> Path:
 @cache
 def with_neighbours(file: Path) -> tuple[Path, ...]:
     """A node's file and those in its folder that it imports, directly or not."""
-    found: dict[Path, None] = {file: None}
-    for current in found.copy():
-        queue = [current]
-        while queue:
-            for node in ast.walk(parsed(queue.pop())):
-                if isinstance(node, ast.ImportFrom) and node.module and ".nodes." in node.module:
-                    other = file_of(node.module)
-                    if other.is_file() and other not in found:
-                        found[other] = None
-                        queue.append(other)
-    return tuple(found)
+    known, queue = [file], [file]
+    while queue:
+        for node in ast.walk(parsed(queue.pop())):
+            if isinstance(node, ast.ImportFrom) and node.module and ".nodes." in node.module:
+                other = file_of(node.module)
+                if other.is_file() and other not in known:
+                    known.append(other)
+                    queue.append(other)
+    return tuple(known)
 
 
 @cache
@@ -110,12 +116,15 @@ def _parameter(name: str, node: ast.Call) -> Parameter:
     text = str(ast.literal_eval(node.args[2]))
     unit = next((m[1] for m in [UNIT.search(text)] if m), "")
     numbers = [ast.unparse(argument) for argument in node.args[3:]]
+    changes = any(k.arg == "changes" for k in node.keywords)
     if numbers and not unit and isinstance(node.args[3], ast.Constant) and isinstance(node.args[3].value, str):
         unit, numbers = node.args[3].value, numbers[1:]
     numbers += [ast.unparse(k.value) for k in node.keywords if k.arg in ("low", "high")]
     bounds = f"{numbers[0]} to {numbers[1]}" if len(numbers) == 2 else ""
     text = UNIT.sub("", text)
-    return Parameter(name, _default(node.args[1]), "" if unit == "-" else unit, bounds, text[0].upper() + text[1:])
+    return Parameter(
+        name, _default(node.args[1]), "" if unit == "-" else unit, bounds, text[0].upper() + text[1:], changes
+    )
 
 
 def _default(node: ast.expr) -> str:
@@ -174,7 +183,7 @@ def _words(node: ast.JoinedStr) -> Iterator[str]:
 
 
 def topics() -> dict[str, str]:
-    """Name -> PACKAGE/msg/NAME of every topic that a node publishes or hears; NS stands for /real and /sim."""
+    """Name -> PACKAGE/msg/NAME of every topic that a node publishes or hears; NS stands for real and sim."""
     return {
         end.name: end.kind
         for package in PACKAGES
@@ -190,7 +199,7 @@ def section(package: str, executable: str, file: Path) -> str:
     if not declared:
         return ""
     about = (ast.get_docstring(parsed(file)) or "").split("\n\n")[0]
-    rows = [(code(p.name), p.text, p.unit, p.bounds, code(p.default)) for p in declared]
-    every = table(("parameter", "meaning", "unit", "range", "default"), rows)
+    rows = [(code(p.name), p.text, p.unit, p.bounds, code(p.default), "yes" if p.changes else "") for p in declared]
+    every = table(("parameter", "meaning", "unit", "range", "default", "changes while running"), rows)
     both = table(("", "name", "type"), [(e.how, code(e.name), code(e.kind)) for e in connected])
     return f"### `ros2 run {package} {executable}`\n\n{about}\n\n{every}\n{both}"

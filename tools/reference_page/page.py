@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole page."""
 
-import ast
+import importlib
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
+from labyrinth_hw.devices import default_link_dir
 from reference_page import messages, nodes
 from reference_page.command_lines import eps_tunnel_section, executable_section
 from reference_page.tables import code, table
+from ros2_standin.launch import DeclareLaunchArgument, description_of
 
 ROOT = Path(__file__).resolve().parents[2]
 INTRODUCTION = """# Reference
@@ -15,7 +18,8 @@ INTRODUCTION = """# Reference
 Made by `python tools/reference_page` from the code; do not edit. Effects and drives: [effects.md](effects.md). What the
 files in `config/` hold is said in the files themselves.
 
-NS is `/real` or `/sim`. Units are SI unless a name says otherwise (`_deg`).
+NS is `real` or `sim`; a name without a leading `/` lies in the node's namespace.
+Units are SI unless a name says otherwise (`_deg`).
 """
 
 
@@ -25,48 +29,40 @@ def page() -> str:
     for package in nodes.PACKAGES:
         for name, file in nodes.executables(package).items():
             parts.append(nodes.section(package, name, file))
-    parts += ["## Launch files\n", *launch_files(), messages.section()]
+    parts += ["## Launch files\n", *(launch_section(*key, given) for key, given in launch_files().items())]
+    parts.append(messages.section())
     return "\n".join(part for part in parts if part).rstrip() + "\n"
 
 
 def programs() -> Iterator[str]:
     """Programs with options of their own, beside eps-tunnel."""
-    import importlib
-
-    from labyrinth_hw.links import default_link_dir
-
+    # What stands here depends on the machine.
+    folder = "$LABYRINTH_TESTBED_DIR, else in the user's runtime folder"
     for package in nodes.PACKAGES:
-        for name, file in nodes.executables(package).items():
+        for name, (module, function) in nodes.targets(package).items():
             if name == "eps_tunnel":
                 continue
-            module = importlib.import_module(".".join(file.relative_to(ROOT / "src" / package).with_suffix("").parts))
-            make = getattr(module, "parser", None)
-            if name == "testbed":
-                from labyrinth_hw.testbed.command_line import parser as make
-            if make is not None:
-                text = executable_section(f"ros2 run {package} {name}", make())
-                # The folder depends on the machine.
-                yield text.replace(str(default_link_dir()), "$LABYRINTH_TESTBED_DIR, else in the user's runtime folder")
+            # The parser is where the entry point's function is defined, which may be elsewhere than its name says.
+            home = inspect.getmodule(getattr(importlib.import_module(module), function))
+            if make := getattr(home, "parser", None):
+                yield executable_section(f"ros2 run {package} {name}", make()).replace(str(default_link_dir()), folder)
 
 
-def launch_files() -> Iterator[str]:
-    """Arguments of the launch files, read off their source."""
-    for file in sorted((ROOT / "src").glob("*/launch/*.launch.py")):
-        rows = []
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "DeclareLaunchArgument" and node.args:
-                if isinstance(node.args[0], ast.Constant):
-                    said = {k.arg: ast.literal_eval(k.value) for k in node.keywords}
-                    rows.append((code(str(node.args[0].value)), said["description"], code(said["default_value"])))
-            elif isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == "ARGUMENTS":
-                assert isinstance(node.value, ast.Dict)
-                for key, value in zip(node.value.keys, node.value.values, strict=True):
-                    assert isinstance(key, ast.Constant) and isinstance(value, ast.Tuple)
-                    default, text = value.elts
-                    told = default.value if isinstance(default, ast.Constant) else "the installed config/nodes file"
-                    rows.append((code(str(key.value)), ast.literal_eval(text), code(str(told))))
-        package, name = file.parts[-3], file.name
-        yield f"### `ros2 launch {package} {name}`\n\n{table(('argument', 'meaning', 'default'), rows)}"
+def launch_files() -> dict[tuple[str, str], list[DeclareLaunchArgument]]:
+    """Package and name of each launch file -> the arguments that it declares."""
+    return {
+        (file.parts[-3], file.name): [e for e in description_of(file) if isinstance(e, DeclareLaunchArgument)]
+        for file in sorted((ROOT / "src").glob("*/launch/*.launch.py"))
+    }
+
+
+def launch_section(package: str, name: str, arguments: list[DeclareLaunchArgument]) -> str:
+    """One launch file."""
+    rows = []
+    for given in arguments:
+        default = given.default if isinstance(given.default, str) else "the installed config/nodes file"
+        rows.append((code(given.name), given.description, code(default)))
+    return f"### `ros2 launch {package} {name}`\n\n{table(('argument', 'meaning', 'default'), rows)}"
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to YAML or CSV, YAML to messages, and types by their name."""
+"""Messages to YAML, YAML to messages, and types by their name."""
 
+import argparse
 import array
 import importlib
 import sys
@@ -10,99 +11,80 @@ from typing import Any
 
 import numpy as np
 import yaml
-from rosidl_parser.definition import (
-    AbstractNestedType,
-    AbstractString,
-    AbstractWString,
-    Array,
-    BasicType,
-    BoundedSequence,
-    NamespacedType,
-)
+from rosidl_parser.definition import AbstractNestedType, Array, BasicType, NamespacedType
 
-INVALID = (AttributeError, ModuleNotFoundError, ValueError)  # what `interface` raises for a name that is no type
+from ros2_standin.cli import argument, flag
+
 SEQUENCES = (list, tuple, array.array, np.ndarray)
+MARKS = {"msg": ("SLOT_TYPES",), "srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
+WORDS = {"msg": "message", "srv": "service", "action": "action"}
+STDIN = flag("--stdin", help="Read values from standard input")
+SHORTENING = (
+    flag("-f", "--full-length", help="Output all elements for arrays and strings"),
+    argument("-l", "--truncate-length", type=int, default=128, help="Longest array or string (default: %(default)s)"),
+    flag("--no-arr", help="Don't print array fields of messages"),
+    flag("--no-str", help="Don't print string fields of messages"),
+)
 
 
 def interface(name: str, kind: str) -> Any:
-    """The class behind `package/kind/Name` or `package/Name`; kind is "msg", "srv" or "action"."""
+    """The class behind `package/kind/Name` or `package/Name`; kind is "msg", "srv" or "action".
+
+    Raises:
+        RuntimeError: no such type.
+    """
     *packages, last = name.split("/")
     if len(packages) == 1:
         packages.append(kind)
-    found = getattr(importlib.import_module(".".join(packages)), last)
-    marks = {"msg": ("SLOT_TYPES",), "srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}[kind]
-    if not all(hasattr(found, mark) for mark in marks):
-        raise ValueError(f"{name} is no {kind}")
+    try:
+        found = getattr(importlib.import_module(".".join(packages)), last)
+    except (AttributeError, ModuleNotFoundError, ValueError):
+        found = None
+    if not all(hasattr(found, mark) for mark in MARKS[kind]):
+        raise RuntimeError(f"The passed {WORDS[kind]} type is invalid")
     return found
 
 
-def fields(message: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Name, value and type of each field."""
-    for name, kind in zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True):
-        yield name, getattr(message, name), kind
-
-
-def to_yaml(
-    message: Any, truncate: int | None = None, no_arr: bool = False, no_str: bool = False, flow_style: bool = False
-) -> str:
-    plain = {name: _plain(value, kind, truncate, no_arr, no_str) for name, value, kind in fields(message)}
-    text: str = yaml.dump(plain, sort_keys=False, allow_unicode=True, width=sys.maxsize, default_flow_style=flow_style)
+def to_yaml(message: Any, args: argparse.Namespace | None = None) -> str:
+    """A message as YAML, shortened as options say."""
+    text: str = yaml.dump(_plain(message, None, args), sort_keys=False, allow_unicode=True, width=sys.maxsize)
     return text
 
 
-def _plain(value: Any, kind: Any, truncate: int | None, no_arr: bool, no_str: bool) -> Any:
-    if isinstance(value, bytes):
-        return _cut(value.decode("latin-1"), truncate)
-    if isinstance(value, str):
-        return f"<string length: <{len(value)}>>" if no_str else _cut(value, truncate)
+def _plain(value: Any, kind: Any, args: argparse.Namespace | None) -> Any:
+    longest = None if args is None or args.full_length else args.truncate_length
+    if isinstance(value, (str, bytes)):
+        text = value.decode("latin-1") if isinstance(value, bytes) else value
+        if args is not None and args.no_str:
+            return f"<string length: <{len(text)}>>"
+        return text if longest is None or len(text) <= longest else f"{text[:longest]}..."
     if isinstance(value, SEQUENCES):
-        if no_arr:
-            return _abbreviated(value, kind)
-        shown = [_plain(item, None, truncate, no_arr, no_str) for item in value[:truncate]]
-        return [*shown, "..."] if len(shown) < len(value) else shown
+        if args is not None and args.no_arr:
+            size = f"array type: {_element(kind)}[{kind.size}]" if isinstance(kind, Array) else None
+            return f"<{size or f'sequence type: {_element(kind)}, length: {len(value)}'}>"
+        items = [_plain(item, None, args) for item in value[:longest]]
+        return [*items, "..."] if len(items) < len(value) else items
     if isinstance(value, np.number):
         return value.item()
-    if isinstance(value, (bool, float, int)):
-        return value
-    return {name: _plain(v, k, truncate, no_arr, no_str) for name, v, k in fields(value)}
-
-
-def _cut(text: str, length: int | None) -> str:
-    return text if length is None or len(text) <= length else f"{text[:length]}..."
-
-
-def _abbreviated(value: Any, kind: Any) -> str:
-    name = _type_name(kind.value_type)
-    if isinstance(kind, Array):
-        return f"<array type: {name}[{kind.size}]>"
-    if isinstance(kind, BoundedSequence):
-        return f"<sequence type: {name}[{kind.maximum_size}], length: {len(value)}>"
-    return f"<sequence type: {name}, length: {len(value)}>"
-
-
-def _type_name(kind: Any) -> str:
-    if isinstance(kind, BasicType):
-        return str(kind.typename)
-    if isinstance(kind, AbstractString):
-        return "string"
-    if isinstance(kind, AbstractWString):
-        return "wstring"
-    return "/".join(kind.namespaced_name())
-
-
-def to_csv(message: Any, truncate: int | None = None, no_arr: bool = False, no_str: bool = False) -> str:
-    return ",".join(_csv(value, kind, truncate, no_arr, no_str) for _, value, kind in fields(message))
-
-
-def _csv(value: Any, kind: Any, truncate: int | None, no_arr: bool, no_str: bool) -> str:
-    if isinstance(value, SEQUENCES):
-        if no_arr and kind is not None:
-            return _abbreviated(value, kind)
-        shown = [_csv(item, None, truncate, no_arr, no_str) for item in value[:truncate]]
-        return ",".join([*shown, "..."] if len(shown) < len(value) else shown)
     if hasattr(value, "SLOT_TYPES"):
-        return to_csv(value, truncate, no_arr, no_str)
-    return str(_plain(value, kind, truncate, no_arr, no_str))
+        return {name: _plain(getattr(value, name), kind, args) for name, kind in _fields(value)}
+    return value
+
+
+def _fields(message: Any) -> Iterator[tuple[str, Any]]:
+    return zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True)
+
+
+def _element(kind: Any) -> str:
+    inner = kind.value_type
+    if isinstance(inner, NamespacedType):
+        return "/".join(inner.namespaced_name())
+    return str(inner.typename) if isinstance(inner, BasicType) else "string"
+
+
+def given_values(args: argparse.Namespace, text: str) -> Any:
+    """Values in YAML from an argument or, with --stdin, from there."""
+    return yaml.safe_load(sys.stdin.read() if args.stdin else text)
 
 
 def fill(message: Any, values: Any, stamps: list[Callable[[Any], None]] | None = None) -> None:
@@ -116,19 +98,15 @@ def fill(message: Any, values: Any, stamps: list[Callable[[Any], None]] | None =
     """
     if not isinstance(values, dict):
         raise TypeError(f"Value '{values}' is expected to be a dictionary but is a {type(values).__name__}")
-    kinds = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True))
+    kinds = dict(_fields(message))
     for name, value in values.items():
         current = getattr(message, name)
-        if stamps is not None and value == "auto" and _is(current, "std_msgs.msg._header", "Header"):
+        if stamps is not None and value == "auto" and type(current).__name__ == "Header":
             stamps.append(partial(setattr, current, "stamp"))
-        elif stamps is not None and value == "now" and _is(current, "builtin_interfaces.msg._time", "Time"):
+        elif stamps is not None and value == "now" and type(current).__name__ == "Time":
             stamps.append(partial(setattr, message, name))
         else:
             setattr(message, name, _filled(current, value, kinds.get(name), stamps))
-
-
-def _is(value: Any, module: str, name: str) -> bool:
-    return (type(value).__module__, type(value).__name__) == (module, name)
 
 
 def _filled(current: Any, value: Any, kind: Any, stamps: list[Callable[[Any], None]] | None) -> Any:

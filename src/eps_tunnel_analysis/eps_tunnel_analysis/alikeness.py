@@ -1,19 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Alikeness: the share of samples at which the tunnels of the real and the simulated system meet."""
+"""Alikeness: the share of samples at which the tunnels of the real and the simulated system meet; and how alike the
+real system is to itself, beside which that share is read."""
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.tunnel import Tunnel
+from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.trials import Array
+from labyrinth_sim.shown import shown
+from labyrinth_sim.trials import Array, Trials
 
 Mask = NDArray[np.bool_]
 KS = (1.0, 2.0, 3.0, 4.0, 5.0)
+LEAST_TRIALS = 3  # the others need a tunnel with a width when one is left out
+MOST_LEFT_OUT = 20  # trials, evenly spread over all of them; more say the same and take long
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,7 @@ class Span:
     samples: int
 
 
+@shown
 @dataclass(frozen=True)
 class Alikeness:
     """Which of T samples of m signals are alike (equation 6), and the shares that follow (equation 7).
@@ -129,6 +134,58 @@ def alikeness(real: Tunnel, sim: Tunnel, k_real: float = 1.0, k_sim: float = 1.0
 def alikeness_over_k(real: Tunnel, sim: Tunnel, ks: Iterable[float] = KS, k_sim: float = 1.0) -> tuple[Alikeness, ...]:
     """The alikeness at each real factor k, as in the paper's tables 2 and 3."""
     return tuple(alikeness(real, sim, k, k_sim) for k in ks)
+
+
+@dataclass(frozen=True)
+class AgainstItself:
+    """How alike the rig is to itself: one trial against the tunnel of the others, mean over the trials.
+
+    The yardstick of an alikeness: a model that reaches it is as close to the rig as one more trial of the rig.
+
+    Attributes:
+        k_real: factor by which the tunnels of the others were widened.
+        shares: signal -> share of samples inside, equation 7; NaN for a signal never seen.
+        joint: share of samples inside in every signal; NaN where no sample was seen in all.
+    """
+
+    k_real: float
+    shares: Mapping[str, float]
+    joint: float
+
+
+def rig_against_itself(trials: Trials, ks: Iterable[float] = KS, smoothed: bool = True) -> tuple[AgainstItself, ...]:
+    """At each factor k how alike one trial is to the others; empty with fewer than LEAST_TRIALS.
+
+    Args:
+        trials: of the real system.
+        smoothed: filter the limits by equation 12, as where the simulation is compared.
+    """
+    p = trials.count
+    if p < LEAST_TRIALS:
+        return ()
+    factors, rows = tuple(ks), np.arange(p)
+    judged = []
+    for out in np.unique(np.linspace(0, p - 1, min(p, MOST_LEFT_OUT)).round().astype(int)):
+        one, others = (build_tunnel(_some(trials, chosen)) for chosen in (rows == out, rows != out))
+        judged.append(alikeness_over_k(smooth(others) if smoothed else others, one, factors))
+    return tuple(
+        AgainstItself(
+            k_real=float(k),
+            shares={name: _mean([a[i].shares[name] for a in judged]) for name in trials.signals},
+            joint=_mean([a[i].joint for a in judged]),
+        )
+        for i, k in enumerate(factors)
+    )
+
+
+def _some(trials: Trials, chosen: Mask) -> Trials:
+    return replace(trials, values=trials.values[chosen], commands=trials.commands[chosen])
+
+
+def _mean(shares: Sequence[float]) -> float:
+    """Of those that are known."""
+    known = [share for share in shares if not math.isnan(share)]
+    return math.fsum(known) / len(known) if known else math.nan
 
 
 def _reach(tunnel: Tunnel, k: float) -> Array:

@@ -4,20 +4,50 @@
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
-from eps_tunnel_analysis.alikeness import KS, Alikeness, Span, alikeness_over_k
+from eps_tunnel_analysis.alikeness import (
+    KS,
+    LEAST_TRIALS,
+    AgainstItself,
+    Alikeness,
+    Span,
+    alikeness_over_k,
+    rig_against_itself,
+)
 from eps_tunnel_analysis.error import SignalError, signal_errors
+from eps_tunnel_analysis.outputs import plain
+from eps_tunnel_analysis.phases import Misfit, sentences, where
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
-from eps_tunnel_analysis.where import Misfit, sentences, where
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Trials
 
 TRIM = 0.5  # s by which one side may be longer; the rest of it is left out and told
 
 
+JOINTLY = "jointly"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Alikeness over the n factors k.
+
+    Attributes:
+        name: of a signal, or JOINTLY.
+        shares: n shares of alike samples; NaN where no sample was seen.
+        itself: n shares that the rig reaches against itself; empty with too few trials.
+    """
+
+    name: str
+    shares: tuple[float, ...]
+    itself: tuple[float, ...]
+
+
+@shown
 @dataclass(frozen=True)
 class Comparison:
     """How far a simulation is from reality, and where.
@@ -26,6 +56,7 @@ class Comparison:
         real, sim: the trials compared: same signals, same time.
         real_tunnel, sim_tunnel: of these trials, smoothed (equation 12) or not.
         alikeness: one for each real factor k, in rising order of k.
+        against_itself: what the rig reaches against itself at the same factors; empty with too few trials.
         errors: one per signal.
         where: the misfit over phases, directions, amplitudes, axes and trials.
         notes: what was left out on the way, in words.
@@ -39,11 +70,28 @@ class Comparison:
     errors: tuple[SignalError, ...]
     where: tuple[Misfit, ...]
     notes: tuple[str, ...] = ()
+    against_itself: tuple[AgainstItself, ...] = ()
 
     @property
     def signals(self) -> tuple[str, ...]:
         """m names."""
         return self.real.signals
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """One for each signal, and one for all jointly where there are several."""
+        made = [
+            Curve(n, tuple(a.shares[n] for a in self.alikeness), tuple(a.shares[n] for a in self.against_itself))
+            for n in self.signals
+        ]
+        joint = Curve(JOINTLY, tuple(a.joint for a in self.alikeness), tuple(a.joint for a in self.against_itself))
+        return (*made, *([joint] if len(made) > 1 else []))
+
+    @property
+    def most_off(self) -> int:
+        """Index of the signal that is most off: in units of its repeat spread, of its range where that is not known."""
+        off = [e.rms / e.repeat_rms if e.repeat_rms > 0 else e.rms / (e.range or math.inf) for e in self.errors]
+        return int(np.argmax(np.nan_to_num(off)))
 
     @property
     def spans(self) -> tuple[Span, ...]:
@@ -68,8 +116,9 @@ class Comparison:
                     "signals": a.shares,
                     "unseen": a.unseen,
                     "unseen_joint": a.joint_unseen,
+                    "rig_against_itself": {"joint": rig.joint, "signals": dict(rig.shares)} if rig else None,
                 }
-                for a in self.alikeness
+                for a, rig in zip_longest(self.alikeness, self.against_itself)
             ],
             "errors": [asdict(e) for e in self.errors],
             "spans": [asdict(s) for s in self.spans],
@@ -77,7 +126,7 @@ class Comparison:
             "where_in_words": list(sentences(self.where)),
             "notes": list(self.notes),
         }
-        return _plain(content)
+        return {key: plain(value) for key, value in content.items()}
 
 
 def compare(
@@ -114,6 +163,10 @@ def compare(
         real_tunnel, sim_tunnel = smooth(real_tunnel), smooth(sim_tunnel)
     if real.count == 1:
         notes += ("One real trial only: its tunnel has no width, so what the rig itself repeats cannot be known.",)
+    elif real.count < LEAST_TRIALS:
+        notes += (
+            "Two real trials only: how alike the rig is to itself can be told from three trials on; five are better.",
+        )
     return Comparison(
         real=real,
         sim=sim,
@@ -123,6 +176,7 @@ def compare(
         errors=signal_errors(real, sim),
         where=where(real, sim),
         notes=notes + cut,
+        against_itself=rig_against_itself(real, factors, smoothed),
     )
 
 
@@ -169,13 +223,3 @@ def _first(trials: Trials, t: int) -> Trials:
     if len(trials.time) == t:
         return trials
     return replace(trials, time=trials.time[:t], values=trials.values[:, :t], commands=trials.commands[:, :t])
-
-
-def _plain(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {key: _plain(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_plain(value) for value in content]
-    if isinstance(content, float):
-        return content if math.isfinite(content) else None
-    return content

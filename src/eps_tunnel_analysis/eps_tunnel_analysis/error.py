@@ -2,7 +2,6 @@
 """Errors between measured and simulated trajectories, per signal."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +22,7 @@ class SignalError:
         worst: largest absolute error.
         worst_time: s, when.
         range: highest minus lowest measured mean, to set the others in relation.
-        repeat_rms: RMS of the trials about their mean, what the real system itself does not repeat
+        repeat_rms: the repeat spread, RMS of the trials about their mean, what the real system itself does not repeat
             (p - 1 in the denominator); NaN with one trial.
         samples: how many samples both sides saw.
     """
@@ -50,11 +49,6 @@ def command_error(real: Array, sim: Array) -> float:
     return float(np.nanmean(error)) if np.isfinite(error).any() else math.nan
 
 
-def fitness(command_errors: Iterable[float]) -> float:
-    """F of equation 11: the sum over the recorded commands. Smaller is better."""
-    return math.fsum(command_errors)
-
-
 def signal_errors(real: Trials, sim: Trials) -> tuple[SignalError, ...]:
     """One SignalError per signal, of the two means (equation 1). Both sides need the same signals and time."""
     mean_real, mean_sim = build_tunnel(real).mean, build_tunnel(sim).mean
@@ -66,7 +60,7 @@ def _signal_error(real: Trials, i: int, mean_real: Array, mean_sim: Array, time:
     seen = np.isfinite(error)
     name, unit, nan = real.signals[i], real.units[i], math.nan
     if not seen.any():
-        return SignalError(name, unit, nan, nan, nan, nan, nan, nan, _repeat_rms(real.values[:, :, i]), 0)
+        return SignalError(name, unit, nan, nan, nan, nan, nan, nan, repeat_spread(real.values[:, :, i]), 0)
     e = error[seen]
     worst = int(np.argmax(np.abs(e)))
     return SignalError(
@@ -78,12 +72,12 @@ def _signal_error(real: Trials, i: int, mean_real: Array, mean_sim: Array, time:
         worst=float(abs(e[worst])),
         worst_time=float(time[seen][worst]),
         range=float(np.ptp(mean_real[seen])),
-        repeat_rms=_repeat_rms(real.values[:, :, i]),
+        repeat_rms=repeat_spread(real.values[:, :, i]),
         samples=int(seen.sum()),
     )
 
 
-def _repeat_rms(values: Array) -> float:
+def repeat_spread(values: Array) -> float:
     """Pooled standard deviation of p trials (p, T) about their mean, over samples that two or more saw."""
     count = np.sum(np.isfinite(values), axis=0)
     values = values[:, count > 1]

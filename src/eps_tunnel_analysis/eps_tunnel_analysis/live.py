@@ -5,21 +5,200 @@ Trials are put together on the grid that `recording` uses and judged by the func
 figures after a run are those computed from its bags.
 """
 
+import math
+from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.alikeness import KS, Alikeness, alikeness
-from eps_tunnel_analysis.live_figures import Figures, Judged
-from eps_tunnel_analysis.live_trial import SECOND, RunningTrial, Stream
+from eps_tunnel_analysis.alikeness import KS, AgainstItself, Alikeness, alikeness, rig_against_itself
 from eps_tunnel_analysis.recording.recording import TrialMark
-from eps_tunnel_analysis.recording.trials_from_bags import MAX_GAP, RATE
+from eps_tunnel_analysis.recording.resample import interpolate
+from eps_tunnel_analysis.recording.trials import MAX_GAP, RATE
 from eps_tunnel_analysis.tunnel import HALF_WIDTH, Tunnel, build_tunnel, smooth
 from labyrinth_sim.trials import Array, Trials
 
+RELEARN = 50  # samples; the usual step between stamps is learned from that many
+SECOND = 1_000_000_000  # ns
+MEMORY = 2.0
+"""s of samples kept, for a start mark that comes after the samples it begins with"""
 REAL, SIM = "real", "sim"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Samples judged for the first time: the tunnel of reality and the simulation in it.
+
+    Attributes:
+        real: of the real trials so far, the running one included.
+        simulated: (n, m) mean of the simulated trials.
+        alike: (n, m) at k = 1.
+        stamp: ns, of the last of the samples in the running trial.
+    """
+
+    real: Tunnel
+    simulated: Array
+    alike: NDArray[np.bool_]
+    stamp: int
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Shares of alike samples (equation 7) of one command so far.
+
+    Attributes:
+        command: its name.
+        signals: m names.
+        ks: n factors of the real tunnel.
+        shares: (m, n); NaN for a signal not seen on both sides.
+        joint: (n,) of samples alike in every signal.
+        samples: N, how many samples were judged.
+        trials: how many real trials form the tunnel, the running one included.
+        complete: whether no trial is running.
+        itself: (m, n) shares that the rig reaches against itself by its finished trials; NaN while unknown.
+        itself_joint: (n,) the same in every signal at once.
+    """
+
+    command: str
+    signals: tuple[str, ...]
+    ks: tuple[float, ...]
+    shares: Array
+    joint: Array
+    samples: int
+    trials: int
+    complete: bool
+    itself: Array
+    itself_joint: Array
+
+    @property
+    def yardstick(self) -> bool:
+        """Whether it is known what the rig reaches against itself."""
+        return bool(np.isfinite(self.itself).any())
+
+
+@dataclass
+class StampCounts:
+    """Counts over one topic.
+
+    Attributes:
+        late_after: s between measurement and arrival beyond which a message counts as late.
+        jump: s between two stamps, or back, beyond which the clock has jumped rather than messages were lost.
+    """
+
+    late_after: float = 0.1
+    jump: float = 5.0
+    received: int = 0
+    late: int = 0
+    lost: int = 0
+    reordered: int = 0
+    duplicated: int = 0
+    clock_jumps: int = 0
+
+    def __post_init__(self) -> None:
+        self._newest: int | None = None
+        self._steps: list[int] = []
+        self._period = 0
+
+    @property
+    def troubled(self) -> bool:
+        """Whether samples went missing or astray; late ones are all there."""
+        return bool(self.lost or self.reordered or self.duplicated or self.clock_jumps)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.received} received, {self.late} late, {self.lost} lost, {self.reordered} reordered, "
+            f"{self.duplicated} duplicated"
+        )
+
+    def add(self, stamp: int, arrival: int) -> bool:
+        """Counts one message (ns both). False for one that is not after its predecessor and must not be judged."""
+        self.received += 1
+        if arrival - stamp > self.late_after * 1e9:
+            self.late += 1
+        if self._newest is None:
+            self._newest = stamp
+            return True
+        step = stamp - self._newest
+        if abs(step) > self.jump * 1e9:
+            self.clock_jumps += 1
+            self._newest, self._steps = stamp, []
+            return True
+        if step <= 0:
+            if step == 0:
+                self.duplicated += 1
+            else:
+                self.reordered += 1
+            return False
+        if self._period and step > 1.5 * self._period:
+            self.lost += round(step / self._period) - 1
+        self._steps.append(step)
+        if len(self._steps) >= RELEARN:
+            self._period, self._steps = int(np.median(self._steps)), []
+        self._newest = stamp
+        return True
+
+
+@dataclass
+class Stream:
+    """Samples that come with one stamp: the joint states, or the ball."""
+
+    names: tuple[str, ...]
+    recent: deque[tuple[int, Array]] = field(default_factory=deque)
+
+    @property
+    def newest(self) -> int:
+        return self.recent[-1][0] if self.recent else -1
+
+    def add(self, stamp: int, values: Array) -> bool:
+        """False for a sample that is not after its predecessor; it is dropped."""
+        if stamp <= self.newest:
+            return False
+        self.recent.append((stamp, values))
+        while len(self.recent) > 2 and self.recent[1][0] < stamp - MEMORY * SECOND:
+            self.recent.popleft()
+        return True
+
+
+class RunningTrial:
+    """One running trial of one side on its grid."""
+
+    def __init__(
+        self, mark: TrialMark, signals: tuple[str, ...], streams: Mapping[str, Stream], rate: float, max_gap: float
+    ) -> None:
+        self.mark, self.signals, self._max_gap = mark, signals, max_gap
+        self.time = np.arange(math.floor(mark.duration * rate + 1e-6) + 1) / rate
+        self.grid = mark.stamp + np.round(self.time * 1e9).astype(np.int64)
+        self.values = np.full((len(self.time), len(signals)), np.nan)
+        self.ended = False
+        # Only streams that were there at the start are waited for.
+        self._streams = {key: stream for key, stream in streams.items() if stream.newest > mark.stamp - SECOND}
+        for stream in streams.values():
+            samples = list(stream.recent)
+            for before, now in zip([None, *samples], samples, strict=False):
+                self.add(stream.names, before, now)
+
+    def add(self, names: Sequence[str], before: tuple[int, Array] | None, now: tuple[int, Array]) -> None:
+        """Fills the grid points after the sample `before` up to the sample `now`."""
+        known = [before, now] if before is not None else [now]
+        first = int(np.searchsorted(self.grid, before[0], side="right")) if before is not None else 0
+        last = int(np.searchsorted(self.grid, now[0], side="right"))
+        if first >= last:
+            return
+        stamps = np.array([sample[0] for sample in known], dtype=np.int64)
+        for column, name in enumerate(self.signals):
+            if name in names:
+                values = np.array([sample[1][names.index(name)] for sample in known])
+                self.values[first:last, column] = interpolate(stamps, values, self.grid[first:last], self._max_gap)
+
+    def ready(self) -> int:
+        """How many grid points are known for good: every stream is past them, or silent for longer than a gap."""
+        newest = [stream.newest for stream in self._streams.values()]
+        if not newest:
+            return 0
+        known = max(min(newest), max(newest) - round(self._max_gap * 1e9))
+        return int(np.searchsorted(self.grid, known, side="right"))
 
 
 @dataclass
@@ -32,6 +211,7 @@ class _Command:
     finished: dict[str, list[Array]]
     alike: NDArray[np.bool_]  # (n, T, m)
     seen: NDArray[np.bool_]  # (T, m)
+    itself: tuple[AgainstItself, ...] = ()
 
 
 class LiveGap:
@@ -86,6 +266,7 @@ class LiveGap:
                 mark.sequence, trial.time, signals, {REAL: self._reference(mark, trial.time, signals), SIM: []},
                 np.zeros((len(self._ks), *shape), dtype=np.bool_), np.zeros(shape, dtype=np.bool_),
             )  # fmt: skip
+            command.itself = self._against_itself(command)
             self._commands[mark.sequence_hash] = command
         if len(command.time) != len(trial.time):
             return []
@@ -145,6 +326,7 @@ class LiveGap:
         self._started.discard(side)
         for command in self._commands.values():
             command.finished[side].clear()
+            command.itself = () if side == REAL else command.itself
             self._judge_all(command)
 
     def finish(self, side: str) -> None:
@@ -156,6 +338,8 @@ class LiveGap:
         command = self._commands[trial.mark.sequence_hash]
         command.finished[side].append(trial.values)
         self._judge_all(command)
+        if side == REAL:
+            command.itself = self._against_itself(command)
 
     def figures(self) -> Figures | None:
         """The shares of the command last played; None before the first sample was judged."""
@@ -166,6 +350,8 @@ class LiveGap:
             Alikeness(command.time, command.signals, k, self._k_sim, command.alike[i], command.seen)
             for i, k in enumerate(self._ks)
         ]
+        m, n = len(command.signals), len(self._ks)
+        rig = command.itself
         return Figures(
             command=command.name,
             signals=command.signals,
@@ -175,6 +361,8 @@ class LiveGap:
             samples=int(command.seen.any(axis=1).sum()),
             trials=len(command.finished[REAL]) + (REAL in self._running),
             complete=not self._running,
+            itself=np.array([[a.shares[s] for a in rig] for s in command.signals]) if rig else np.full((m, n), np.nan),
+            itself_joint=np.array([a.joint for a in rig]) if rig else np.full(n, np.nan),
         )
 
     def _reference(self, mark: TrialMark, time: Array, signals: Sequence[str]) -> list[Array]:
@@ -229,15 +417,26 @@ class LiveGap:
             values.append(running.values[wide])
         if not values:
             return None
-        units = tuple(self._units.get(name, "rad") for name in command.signals)
-        none = np.empty((len(values), wide.stop - wide.start, 0))
-        tunnel = build_tunnel(Trials(command.time[wide], command.signals, units, np.stack(values), (), none))
+        tunnel = build_tunnel(self._trials(command, values, wide))
         tunnel = smooth(tunnel) if self._smoothed else tunnel
         inner = slice(rows.start - wide.start, rows.stop - wide.start)
         return replace(
             tunnel, time=tunnel.time[inner], mean=tunnel.mean[inner], lower=tunnel.lower[inner],
             upper=tunnel.upper[inner], seen=tunnel.seen[inner],
         )  # fmt: skip
+
+    def _trials(self, command: _Command, values: Sequence[Array], rows: slice) -> Trials:
+        units = tuple(self._units.get(name, "rad") for name in command.signals)
+        none = np.empty((len(values), rows.stop - rows.start, 0))
+        return Trials(command.time[rows], command.signals, units, np.stack(values), (), none)
+
+    def _against_itself(self, command: _Command) -> tuple[AgainstItself, ...]:
+        """Of the real trials that have ended, those of the reference included."""
+        finished = command.finished[REAL]
+        if not finished:
+            return ()
+        trials = self._trials(command, finished, slice(0, len(command.time)))
+        return rig_against_itself(trials, self._ks, self._smoothed)
 
     def _judge_new(self) -> list[Judged]:
         """Judges the samples of the running trials that both sides have reached."""

@@ -2,12 +2,12 @@
 """Bringing a rig to a pose, and knowing when it has come to rest."""
 
 import math
+import threading
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from labyrinth_sim.trials import Array
 
 
 def smooth_path(start: Array, end: Array, speed: float, rate: float) -> Array:
@@ -28,6 +28,7 @@ class RestWatch:
 
     The speed is the difference between the means of the two halves of the last `window` seconds, so that the flicker
     of an encoder between two counts is no motion. At rest is what was no faster than `speed` for `window` seconds.
+    One thread may add while another asks or resets.
 
     Args:
         window: s.
@@ -38,12 +39,17 @@ class RestWatch:
         self.window, self.bound = window, speed
         self._samples: deque[tuple[float, Array]] = deque()
         self._slow_since: float | None = None
+        self._lock = threading.Lock()
         self.speeds: Array = np.zeros(0)
 
     def add(self, time: float, positions: Array) -> None:
         """One measurement: time in s, positions (j,) in rad, NaN where not measured. Time going back starts anew."""
+        with self._lock:
+            self._add(time, positions)
+
+    def _add(self, time: float, positions: Array) -> None:
         if self._samples and (time <= self._samples[-1][0] or len(positions) != len(self._samples[-1][1])):
-            self.reset()
+            self._reset()
         self._samples.append((time, positions))
         while len(self._samples) > 2 and self._samples[1][0] <= time - self.window:
             self._samples.popleft()
@@ -64,9 +70,14 @@ class RestWatch:
 
     def reset(self) -> None:
         """Forgets what was measured so far."""
+        with self._lock:
+            self._reset()
+
+    def _reset(self) -> None:
         self._samples.clear()
         self._slow_since = None
 
     @property
     def at_rest(self) -> bool:
-        return self._slow_since is not None and self._samples[-1][0] - self._slow_since >= self.window
+        with self._lock:
+            return self._slow_since is not None and self._samples[-1][0] - self._slow_since >= self.window

@@ -1,46 +1,80 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads sequences from config/sequences/*.yaml.
 
-A file holds one `command`, or several under `commands`; each is played `trials` times. Angles stand in degrees
-(`to_deg`) or rad (`to`), other quantities carry their unit in the key too (`lasts_s`, `frequency_hz`).
+A file holds one `command`, or several under `commands`; each is played `trials` times. Angles are given in degrees
+(`to_deg`) or rad (`to`), positions of linear axes in mm (`to_mm`) or m (`to`); other quantities carry their unit in the
+key, too (`lasts_s`, `frequency_hz`). With a `ratio` of load over driven angle for a channel, angles are the load's.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import yaml
+from pydantic import Field, create_model
 
-from eps_tunnel_analysis.sequence import Command, Sequence
-from eps_tunnel_analysis.sequence_shapes import SHAPES, Shape
+from eps_tunnel_analysis.sequence import SHAPES, Command, Sequence, Shape
 from labyrinth_sim import config
-from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.errors import unknown_name
+from labyrinth_sim.yaml_file import Document, Entry, Text, Where, read_yaml, shortened, yaml_text
 
-SUFFIXES = {"s": "_s", "Hz": "_hz", "rad": "_deg", "1": ""}
-KEYS = ("description", "initial_deg", "trials", "command", "commands")
-_BOUNDS = {"above": "above", "least": "at least", "most": "at most"}
+# Unit of a shape's number -> endings of its key in a file, each with the factor to that unit.
+ENDINGS = {
+    "rad": {"_deg": math.pi / 180.0, "_mm": 1e-3, "": 1.0},
+    "s": {"_s": 1.0},
+    "Hz": {"_hz": 1.0},
+    "1": {"": 1.0},
+}
+LONGEST_COMMAND = 4 * 3600.0  # s
+MOST_TRIALS = 10_000
+
+
+class _Key(Entry):
+    noun = "key"
+
+
+class _SequenceFile(_Key):
+    description: Text = ""
+    initial_deg: dict[str, float] | None = None
+    initial_mm: dict[str, float] | None = None
+    initial: dict[str, float] | None = None
+    ratio: dict[str, Annotated[float, Field(gt=0.0, le=1e3)]] | None = None
+    trials: int = Field(1, ge=1, le=MOST_TRIALS)
+    command: dict[str, Any] | None = None
+    commands: dict[str, Any] | None = None
+
+
+class _ShapeEntry(Entry):
+    noun = "number"
+
+
+def _schema(shape: type[Shape]) -> type[_ShapeEntry]:
+    """The numbers of a shape as a file gives them; of a number with several keys each may be left out."""
+    numbers: dict[str, Any] = {}
+    for item in fields(shape):
+        kind: Any = int if item.type in (int, "int") else float
+        endings = ENDINGS[item.metadata["unit"]]
+        several = len(endings) > 1
+        declared = {"json_schema_extra": {"unit": item.metadata["unit"]}, **item.metadata["bounds"]}
+        for ending in endings:
+            # By alias, for pydantic's models have attributes of their own, `register` say.
+            info: Any = Field(None if several else ..., alias=item.name + ending, **declared)
+            numbers[f"{item.name}{ending}_number"] = (kind | None if several else kind, info)
+    return create_model(shape.word, __base__=_ShapeEntry, **numbers)
+
+
+_SCHEMAS = {word: _schema(shape) for word, shape in SHAPES.items()}
 
 
 def load_sequence(path: Path) -> Sequence:
     """Reads one sequence file. Raises InputError with everything that is wrong with it."""
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeys)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}). Give the path of a sequence file.") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid YAML: {error}") from error
-    return parse_sequence(document, path.stem, str(path))
+    return _sequence(read_yaml(path), path.stem)
 
 
-def parse_sequence(document: object, name: str, source: str) -> Sequence:
+def parse_sequence(data: object, name: str, source: str) -> Sequence:
     """The Sequence in a parsed YAML document. `source` opens each complaint. Raises InputError with all complaints."""
-    parser = _Parser(source)
-    sequence = parser.sequence(document, name)
-    if parser.complaints or sequence is None:
-        raise InputError(parser.complaints)
-    return sequence
+    return _sequence(Document(source, data), name)
 
 
 def find_sequence(name: str) -> Sequence:
@@ -55,118 +89,125 @@ def find_sequence(name: str) -> Sequence:
     return replace(sequence, commands=(sequence.command(part),))
 
 
-class _UniqueKeys(yaml.SafeLoader):
-    """Refuses a key given twice, where YAML would silently keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if key.value in seen:
-                raise yaml.MarkedYAMLError(problem=f"key '{key.value}' stands here twice", problem_mark=key.start_mark)
-            seen.add(key.value)
-        return dict(super().construct_mapping(node, deep))
-
-
-class _Parser:
-    """Collects complaints while it reads, so that all of them can be told at once."""
-
-    def __init__(self, source: str) -> None:
-        self.source, self.complaints = source, list[str]()
-
-    def complain(self, where: str, message: str) -> None:
-        self.complaints.append(f"{self.source}: {where}: {message}" if where else f"{self.source}: {message}")
-
-    def sequence(self, document: object, name: str) -> Sequence | None:
-        if not isinstance(document, dict):
-            self.complain("", f"expected a mapping with the keys {', '.join(KEYS)}; got {_kind(document)}.")
-            return None
-        for key in document:
-            if key not in KEYS:
-                self.complain("", unknown_name("key", str(key), KEYS))
-        initial = self.initial(document.get("initial_deg"))
-        trials = document.get("trials", 1)
-        if isinstance(trials, bool) or not isinstance(trials, int) or trials < 1:
-            self.complain("trials", f"expected a whole number of at least 1, got {trials!r}.")
-        if ("command" in document) == ("commands" in document):
-            self.complain("", "give either 'command' (one) or 'commands' (several, by name).")
-            return None
-        bodies = {"": document["command"]} if "command" in document else document["commands"]
-        if not isinstance(bodies, dict) or not bodies:
-            self.complain("commands", f"expected a mapping from name to command, got {_kind(bodies)}.")
-            return None
-        commands = []
-        for key, body in bodies.items():
-            where = f"commands.{key}" if key != "" else "command"
-            commands.append(self.command(where, f"{name}/{key}" if key != "" else name, initial, body))
-        if self.complaints:
-            return None
-        return Sequence(name, str(document.get("description", "")).strip(), tuple(commands), trials)
-
-    def initial(self, value: object) -> dict[str, float]:
-        if not isinstance(value, dict) or not value:
-            self.complain("initial_deg", f"expected a mapping from channel to degrees, got {_kind(value)}.")
-            return {}
-        return {
-            str(channel): math.radians(self.number(f"initial_deg.{channel}", angle, {}) or 0.0)
-            for channel, angle in value.items()
-        }
-
-    def command(self, where: str, name: str, initial: dict[str, float], body: object) -> Command:
-        rows: dict[str, tuple[Shape, ...]] = {}
-        if not isinstance(body, dict) or not body:
-            self.complain(where, f"expected a mapping from channel to a list of shapes, got {_kind(body)}.")
-            body = {}
-        for channel, entries in body.items():
-            if channel not in initial:
-                self.complain(where, unknown_name("channel", str(channel), initial) + " They come from initial_deg.")
-            if not isinstance(entries, list) or not entries:
-                self.complain(f"{where}.{channel}", f"expected a list of shapes, got {_kind(entries)}.")
-                entries = []
-            shapes = [self.shape(f"{where}.{channel}[{i}]", entry) for i, entry in enumerate(entries)]
-            rows[str(channel)] = tuple(shape for shape in shapes if shape is not None)
-        return Command(name, tuple(initial), tuple(initial.values()), tuple(rows.get(c, ()) for c in initial))
-
-    def shape(self, where: str, entry: object) -> Shape | None:
-        if not isinstance(entry, dict) or len(entry) != 1:
-            self.complain(where, f"expected one shape such as 'step: {{to_deg: 2, lasts_s: 1}}', got {_kind(entry)}.")
-            return None
-        word, body = next(iter(entry.items()))
-        if word not in SHAPES:
-            self.complain(where, unknown_name("shape", str(word), SHAPES))
-            return None
-        where = f"{where}.{word}"
-        if not isinstance(body, dict):
-            self.complain(where, f"expected a mapping of its numbers, got {_kind(body)}.")
-            return None
-        values, used = {}, set[str]()
-        for item in fields(SHAPES[word]):
-            unit = item.metadata["unit"]
-            keys = [item.name + SUFFIXES[unit]] + ([item.name] if unit == "rad" else [])
-            given = [key for key in keys if key in body]
-            used.update(keys)
-            if len(given) != 1:
-                self.complain(where, f"expected {' or '.join(keys)}{' but not both' if given else ''}.")
-                continue
-            number = self.number(f"{where}.{given[0]}", body[given[0]], item.metadata, whole=item.type in (int, "int"))
-            if number is not None:
-                values[item.name] = math.radians(number) if given[0].endswith("_deg") else number
-        for key in body:
-            if key not in used:
-                self.complain(where, unknown_name("number", str(key), used))
-        return SHAPES[word](**values) if len(values) == len(fields(SHAPES[word])) else None
-
-    def number(self, where: str, value: object, bounds: Mapping[str, Any], whole: bool = False) -> float | None:
-        if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not math.isfinite(value):
-            hint = " (YAML wants 1.0e-3, not 1e-3)" if isinstance(value, str) and "e" in value else ""
-            self.complain(where, f"expected a finite {'whole ' if whole else ''}number, got {value!r}{hint}.")
-            return None
-        low, high = bounds.get("least", -math.inf), bounds.get("most", math.inf)
-        if not low <= value <= high or value <= bounds.get("above", -math.inf):
-            asked = " and ".join(f"{word} {bounds[key]:g}" for key, word in _BOUNDS.items() if key in bounds)
-            self.complain(where, f"must be {asked} {bounds['unit']}, got {value!r}.")
-            return None
-        return int(value) if whole else float(value)
+def _sequence(document: Document, name: str) -> Sequence:
+    entry = document.read(_SequenceFile)
+    initial = _initial(document)
+    for channel in document.mapping(("ratio",)):
+        if channel not in initial:
+            document.complain(
+                ("ratio", channel), unknown_name("channel", channel, initial) + " They come from initial_deg."
+            )
+    commands = [_command(document, where, full, initial) for where, full in _commands(document, name)]
+    document.check()
+    assert entry is not None
+    return Sequence(name, entry.description.strip(), tuple(commands), entry.trials)
 
 
-def _kind(value: object) -> str:
-    return "nothing" if value is None else f"{type(value).__name__} {value!r:.60}"
+def _initial(document: Document) -> dict[str, float]:
+    """Channel -> target before time zero, rad or m; 0 where the schema has refused it."""
+    initial: dict[str, float] = {}
+    for ending, factor in ENDINGS["rad"].items():
+        key = f"initial{ending}"
+        for channel, value in document.mapping((key,)).items():
+            if channel in initial:
+                document.complain((key, channel), "the channel has an initial target already.")
+            usable = isinstance(value, int | float) and math.isfinite(value)
+            initial[channel] = float(value) * factor / _ratio(document, channel) if usable else 0.0
+    if not initial:
+        document.complain(("initial_deg",), "expected a mapping from channel to degrees, got nothing.")
+    return initial
+
+
+def _commands(document: Document, name: str) -> Iterator[tuple[Where, str]]:
+    """Where each command is, and its name in full."""
+    one, several = document.value(("command",)), document.value(("commands",))
+    if (one is None) == (several is None):
+        document.complain((), "give either 'command' (one) or 'commands' (several, by name).")
+    elif one is not None:
+        yield ("command",), name
+    elif several == {}:
+        document.complain(("commands",), "expected a mapping from name to command, got {}.")
+    else:
+        yield from ((("commands", key), f"{name}/{key}") for key in document.mapping(("commands",)))
+
+
+def _command(document: Document, where: Where, name: str, initial: dict[str, float]) -> Command:
+    channels = document.mapping(where)
+    if not channels:
+        document.complain(where, "expected a mapping from channel to a list of shapes.")
+    rows: dict[str, tuple[Shape, ...]] = {}
+    for channel in channels:
+        place = (*where, channel)
+        if channel not in initial:
+            document.complain(place, unknown_name("channel", channel, initial) + " They come from initial_deg.")
+        count = len(document.sequence(place))
+        if not count:
+            document.complain(place, f"expected a list of shapes, got {shortened(document.value(place))}.")
+        shapes = [_shape(document, (*place, i), _ratio(document, channel)) for i in range(count)]
+        rows[channel] = tuple(shape for shape in shapes if shape)
+        if math.fsum(shape.lasts for shape in rows[channel]) > LONGEST_COMMAND:
+            document.complain(place, f"lasts longer than {LONGEST_COMMAND:g} s. Play it in parts.")
+    return Command(name, tuple(initial), tuple(initial.values()), tuple(rows.get(c, ()) for c in initial))
+
+
+def _ratio(document: Document, channel: str) -> float:
+    """Angle of the load over that of the target; 1 where none is given, or one that the schema has refused."""
+    given = document.mapping(("ratio",)).get(channel, 1.0)
+    usable = isinstance(given, int | float) and not isinstance(given, bool) and math.isfinite(given) and given > 0.0
+    return float(given) if usable else 1.0
+
+
+def _shape(document: Document, where: Where, ratio: float) -> Shape | None:
+    """One shape, its angles those of the target."""
+    value = document.value(where)
+    if not isinstance(value, dict) or len(value) != 1:
+        text = f"expected one shape such as 'step: {{to_deg: 2, lasts_s: 1}}', got {shortened(value)}."
+        document.complain(where, text)
+        return None
+    word = str(next(iter(value)))
+    if word not in SHAPES:
+        document.complain((*where, word), unknown_name("shape", word, SHAPES))
+        return None
+    where = (*where, word)
+    entry = document.read(_SCHEMAS[word], where)
+    given = entry.model_dump(by_alias=True, exclude_none=True) if entry else {}
+    numbers: dict[str, Any] = {}
+    for item in fields(SHAPES[word]):
+        endings = ENDINGS[item.metadata["unit"]]
+        present = [end for end in endings if document.value((*where, item.name + end)) is not None]
+        if len(endings) > 1 and len(present) != 1 and isinstance(document.value(where), dict):
+            keys = ", ".join(item.name + end for end in endings)
+            document.complain(where, f"expected one of {keys}{' and no other' if present else ''}.")
+        elif entry:
+            number = given[item.name + present[0]]
+            size = endings[present[0]] / (ratio if item.metadata["unit"] == "rad" else 1.0)
+            numbers[item.name] = number if isinstance(number, int) else number * size
+    return SHAPES[word](**numbers) if len(numbers) == len(fields(SHAPES[word])) else None
+
+
+def sequence_text(command: Command, description: str, trials: int, linear: Collection[str] = ()) -> str:
+    """A sequence file that holds one command.
+
+    Args:
+        linear: channels of slide joints, whose targets are given in mm; those of the others are in degrees.
+    """
+    ending = {channel: "_mm" if channel in linear else "_deg" for channel in command.channels}
+    data: dict[str, Any] = {"description": description}
+    for channel, target in zip(command.channels, command.initial, strict=True):
+        data.setdefault(f"initial{ending[channel]}", {})[channel] = _given(target, ending[channel])
+    rows = zip(command.channels, command.shapes, strict=True)
+    data |= {"trials": trials, "command": {c: [_entry(shape, ending[c]) for shape in row] for c, row in rows if row}}
+    return yaml_text(data)
+
+
+def _entry(shape: Shape, ending: str) -> dict[str, dict[str, float]]:
+    body = {}
+    for item in fields(shape):
+        value, unit = getattr(shape, item.name), item.metadata["unit"]
+        end = ending if unit == "rad" else next(iter(ENDINGS[unit]))
+        body[item.name + end] = _given(value, end) if unit == "rad" else value
+    return {shape.word: body}
+
+
+def _given(value: float, ending: str) -> float:
+    return round(value / ENDINGS["rad"][ending], 6)

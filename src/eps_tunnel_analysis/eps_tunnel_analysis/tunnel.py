@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array, Trials, locked
 
 HALF_WIDTH = 5  # samples to either side, equation 12
 
 
+@shown
 @dataclass(frozen=True)
 class Tunnel:
     """All states s with mean + lower <= s <= mean + upper (equation 3), of T samples and m signals.

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from bag_files import START, STEP, Header, JointState, Time, write_bag
 
-from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.simulate import simulate
+from labyrinth_sim.simulate import even_timestep, simulate
 from labyrinth_sim.trials import Trials
 
 TRUTH = {"drive.x.p": 18.0, "drive.x.i": 0.0, "drive.x.d": 0.95, "drive.x.delay": 0.032}
@@ -22,10 +22,18 @@ def start() -> Model:
     return load_model("labyrinth")
 
 
+def on_grid(model: Model, commands: np.ndarray, initial: dict[str, float] | None = None) -> Trials:
+    """One roll-out in steps of MuJoCo's own, read every 10 ms; each of the commands (T, u) holds that long."""
+    every = round(0.01 / even_timestep(0.01, None, model, False))
+    time = np.arange((len(commands) - 1) * every + 1) * (0.01 / every)
+    run = simulate(model, time, np.repeat(commands, every, axis=0)[: len(time)], initial)
+    return replace(run, time=np.arange(len(commands)) * 0.01, values=run.values[:, ::every],
+                   commands=run.commands[:, ::every])  # fmt: skip
+
+
 def made_by(model: Model, commands: np.ndarray, trials: int = 3, noise: float = 2e-4, seed: int = 0) -> Trials:
     """Trials of a model, rad, with white noise on every position."""
-    time = np.arange(len(commands)) * 0.01
-    run = simulate(model, time, commands)
+    run = on_grid(model, commands)
     positions = [s for s, unit in zip(run.signals, run.units, strict=True) if unit == "rad"]
     run = run.select(positions)
     clean = np.repeat(run.values, trials, axis=0)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from eps_tunnel_analysis.recording import BagWriter
-from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE, TRIAL, typestore
+from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE, TRIAL, typestore
 
 STORE = typestore()
 START = 1_700_000_000_000_000_000

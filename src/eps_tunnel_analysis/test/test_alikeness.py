@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from tunnel_cases import literal_margin, literal_tunnel, make_trials, pairs, trials
 
-from eps_tunnel_analysis.alikeness import alikeness, alikeness_over_k
+from eps_tunnel_analysis.alikeness import alikeness, alikeness_over_k, rig_against_itself
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
 from labyrinth_sim.errors import InputError
 
@@ -199,3 +199,29 @@ def test_other_signals_units_or_times_are_refused():
         alikeness(a, build_tunnel(make_trials(np.zeros((1, 4, 1)), unit="m")))
     with pytest.raises(InputError, match=r"real has 4 samples from 0 to 0\.03 s, simulation 5 samples"):
         alikeness(a, build_tunnel(make_trials(np.zeros((1, 5, 1)))))
+
+
+def test_the_rig_against_itself_is_each_trial_in_the_tunnel_of_the_others():
+    values = np.zeros((4, 3, 1))
+    values[:, 0, 0] = [0, 1, 2, 3]  # trials 0 and 3 are outside what the others span, whatever k = 1
+    values[:, 1, 0] = [5, 5, 5, 5]
+    values[:, 2, 0] = [0, 0, 0, 1]  # the others of trial 3 have no width
+    (one,) = rig_against_itself(make_trials(values), (1.0,), smoothed=False)
+    assert one.k_real == 1
+    assert one.shares["a"] == pytest.approx(np.mean([2 / 3, 1, 1, 1 / 3]))
+    assert one.joint == one.shares["a"]
+
+
+def test_jointly_the_rig_against_itself_is_no_better_than_in_any_signal():
+    values = np.random.default_rng(2).normal(size=(5, 400, 3))
+    found = rig_against_itself(make_trials(values), (1.0, 2.0), smoothed=False)
+    for one in found:
+        assert one.joint < min(one.shares.values())
+    # A further draw lies between the extremes of four others three times in five.
+    assert found[0].shares["b"] == pytest.approx(0.6, abs=0.05)
+    assert found[0].joint < found[1].joint
+
+
+@given(trials(max_p=5, holes=True))
+def test_a_tunnel_of_one_or_two_trials_tells_nothing_of_the_rig_itself(some):
+    assert bool(rig_against_itself(some, (1.0,))) == (some.count > 2)

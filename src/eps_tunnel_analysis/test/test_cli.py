@@ -22,7 +22,7 @@ from bag_files import (
 from command_line import COMMAND, ENVIRONMENT, eps_tunnel, process, refused
 
 from eps_tunnel_analysis.recording import BagWriter, read
-from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE
+from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE
 
 
 def test_a_comparison_of_bags_writes_report_tables_and_pictures(bags, tmp_path):
@@ -30,7 +30,7 @@ def test_a_comparison_of_bags_writes_report_tables_and_pictures(bags, tmp_path):
     assert result.returncode == 0, result.stderr
     assert str(tmp_path / "out" / "report.html") in result.stdout
     assert "k = 5" in result.stdout
-    assert "rise, going up" in result.stdout
+    assert "moving, upwards" in result.stdout
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "report.html", "compare.json", "alikeness.csv", "errors.csv", "where.csv", "spans.csv", "tunnel.csv",
         "tunnel_servo.svg", "tunnel_servo.png", "alikeness_over_k.svg", "alikeness_over_k.png",

@@ -11,7 +11,8 @@ from command_line import COMMAND, ENVIRONMENT, process
 from fit_cases import TRUTH, bag_of, plays
 
 from eps_tunnel_analysis.cli.main import main
-from eps_tunnel_analysis.fit.process import run_calibration
+from eps_tunnel_analysis.processes import INTERRUPTED
+from eps_tunnel_analysis.tasks import CalibrateTask, run_task
 from labyrinth_sim.model import load_model
 
 CALIBRATE = [*COMMAND, "calibrate"]
@@ -111,14 +112,15 @@ def test_ctrl_c_keeps_the_best_so_far_and_the_checkpoint_goes_on_from_there(bags
 
 
 def test_a_calibration_in_a_process_tells_its_progress_and_can_be_called_off(bags, tmp_path) -> None:
-    told = []
-    arguments = ["--real", bags, "--model", "labyrinth", "--out", tmp_path / "mine", "--method", "es",
-                 "--free", "drive.x.p", "--signals", "motor_x"]  # fmt: skip
-    ended = run_calibration([str(a) for a in arguments], told.append, lambda: any(t.evaluations > 1 for t in told))
-    assert not ended.success
+    progress = []
+    task = CalibrateTask(
+        bags=(bags,), model="labyrinth", out=tmp_path / "mine", method="es", free=("drive.x.p",), signals=("motor_x",)
+    )
+    ended = run_task(task, progress.append, lambda: any(p["evaluations"] > 1 for p in progress))
+    assert ended.code == INTERRUPTED
     assert ended.content["interrupted"]
-    assert 0 < told[-1].share < 1
+    assert 0 < progress[-1]["evaluations"] / progress[-1]["of"] < 1
     assert load_model(tmp_path / "mine.yaml").values()["drive.x.p"] == ended.content["values"]["drive.x.p"]
-    refused = run_calibration([str(a) for a in arguments], told.append, lambda: False)
-    assert not refused.success
-    assert "never overwritten" in refused.message
+    refused = run_task(task, progress.append, lambda: False)
+    assert refused.content is None
+    assert "never overwritten" in refused.complaint

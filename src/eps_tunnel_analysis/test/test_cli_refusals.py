@@ -19,7 +19,7 @@ from bag_files import (
 from command_line import eps_tunnel, refused
 
 from eps_tunnel_analysis.recording import BagWriter
-from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL
+from eps_tunnel_analysis.recording.decode import JOINT_STATE, TRIAL
 
 
 def test_replay_of_no_bag_is_refused(tmp_path):

@@ -10,7 +10,7 @@ from hypothesis import given
 from tunnel_cases import make_trials, pairs, trials
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.error import command_error, fitness, signal_errors
+from eps_tunnel_analysis.error import command_error, signal_errors
 from labyrinth_sim.errors import InputError
 
 
@@ -20,10 +20,6 @@ def test_equation_10_by_hand():
     assert command_error(real, sim) == pytest.approx((1 + 2) * step / total)
     assert command_error(real, np.array([0, math.nan, 0, 3])) == pytest.approx(2 * step / (3 * step))
     assert math.isnan(command_error(real, np.full(4, math.nan)))
-
-
-def test_equation_11_sums_the_commands():
-    assert fitness([0.1] * 10) == 1.0
 
 
 def test_errors_by_hand():

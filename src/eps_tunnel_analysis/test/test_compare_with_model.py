@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from bag_files import START, STEP, Header, JointState, Time, write_bag
 from command_line import eps_tunnel
+from fit_cases import on_grid
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.rollout import roll_out, same_commands
+from eps_tunnel_analysis.fit.calibrate import judge
+from eps_tunnel_analysis.fit.problem import CommandError, Objective
+from eps_tunnel_analysis.simulated import Play, roll_out, same_commands
+from eps_tunnel_analysis.stamped import Series, StampedTrial
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
-from labyrinth_sim.simulate import simulate
 from labyrinth_sim.trials import Trials
 
 TIME = np.arange(150) * 0.01
@@ -35,7 +38,7 @@ def commands(late=0):
 def measured(model, *plays, noise=0.0):
     """Trials as the model itself would give them, from the commands of each trial."""
     start = {"motor_x": -0.02, "board_x": -0.02, "motor_y": 0.01, "board_y": 0.01}
-    runs = [simulate(model, TIME, play, start).select(SIGNALS) for play in plays]
+    runs = [on_grid(model, play, start).select(SIGNALS) for play in plays]
     values = np.concatenate([run.values for run in runs])
     values = values + noise * np.random.default_rng(3).normal(size=values.shape)
     return replace(runs[0], values=values, commands=np.stack(plays))
@@ -43,12 +46,12 @@ def measured(model, *plays, noise=0.0):
 
 def test_a_model_explains_its_own_data(model):
     real = measured(model, commands(), commands(), commands())
-    assert compare(real, roll_out(model, real)).alikeness[0].joint == 1
+    assert all(e.worst < 1e-12 for e in compare(real, roll_out(model, Play("", real))).errors)
 
 
 def test_another_model_does_not(model):
     real = measured(model, commands(), commands(), noise=1e-5)
-    comparison = compare(real, roll_out(load_model("labyrinth"), real))
+    comparison = compare(real, roll_out(load_model("labyrinth"), Play("", real)))
     assert comparison.alikeness[-1].joint < 0.9
     assert all(e.rms > 10 * e.repeat_rms for e in comparison.errors)
 
@@ -58,13 +61,49 @@ def test_jitter_is_one_command_and_other_sequences_are_several(model):
     assert same_commands(np.stack([same, same]))
     assert same_commands(np.stack([same, late]))
     assert not same_commands(np.stack([same, other]))
-    assert roll_out(model, measured(model, same, late)).count == 1
-    assert roll_out(model, measured(model, same, other)).count == 2
+    assert roll_out(model, Play("", measured(model, same, late))).count == 1
+    assert roll_out(model, Play("", measured(model, same, other))).count == 2
+
+
+@pytest.mark.parametrize("late", [1, 30])
+def test_comparison_fit_and_scores_say_the_same_of_one_model_and_one_recording(model, late):
+    """Four trials, two of them late; the first three samples of one signal were not seen."""
+    real = measured(model, commands(), commands(late), commands(), commands(late), noise=1e-4)
+    values = np.array(real.values)
+    values[:, :3, 2] = np.nan
+    play = Play("", replace(real, values=values))
+    other = load_model("labyrinth")
+    comparison = compare(play.trials, roll_out(other, play), signals=SIGNALS)
+    scores = judge(other, [play], SIGNALS)
+    for error, score in zip(comparison.errors, scores, strict=True):
+        fit = Objective(other, (), [play], (score.signal,))
+        fitness = CommandError(fit.weights)(fit(np.empty((1, 0))))[0]
+        assert score.error == error.command_error == pytest.approx(fitness, rel=1e-9)
+        assert score.alikeness == {a.k_real: a.shares[score.signal] for a in comparison.alikeness}
+    assert 0 < scores[0].alikeness[1.0] < 1
+
+
+def test_commands_act_at_their_own_stamps(model):
+    """A command 4 ms after a sample is 4 ms late; on the grid it would be a whole sample."""
+    real = measured(model, commands())
+    late = [
+        StampedTrial(
+            t.seconds, {n: Series(s.time + 0.004 * (s.time > 0), s.values) for n, s in t.commands.items()}, t.signals
+        )
+        for t in Play("", real).at_stamps
+    ]
+    on_time = roll_out(model, Play("", real))
+    shifted = roll_out(model, Play("", real, stamped=tuple(late)))
+    sample = replace(real, commands=np.concatenate([real.commands[:, :1], real.commands[:, :-1]], axis=1))
+    whole = roll_out(model, Play("", sample))
+    i = on_time.index("motor_x")
+    moved, most = (np.abs(run.values[0, :, i] - on_time.values[0, :, i]).sum() for run in (shifted, whole))
+    assert moved == pytest.approx(0.4 * most, rel=0.05)
 
 
 def test_each_trial_is_rolled_out_with_its_own_command(model):
     real = measured(model, commands(), commands(late=30))
-    sim = roll_out(model, real)
+    sim = roll_out(model, Play("", real))
     assert np.allclose(sim.select(SIGNALS).values, real.values, atol=1e-12)
 
 
@@ -79,14 +118,14 @@ def test_a_roll_out_starts_at_the_first_pose_that_was_seen(model):
     real = measured(model, commands(), commands())
     values = np.array(real.values)
     values[:, 0, 0] = np.nan  # seen from the second sample on
-    sim = roll_out(model, replace(real, values=values))
+    sim = roll_out(model, Play("", replace(real, values=values)))
     assert sim.values[0, 0, sim.index("motor_x")] == pytest.approx(values[0, 1, 0])
 
 
 def test_recordings_without_the_rigs_commands_are_refused(model):
     bare = Trials(TIME, ("motor_x",), ("rad",), np.zeros((1, 150, 1)), (), np.zeros((1, 150, 0)))
     with pytest.raises(InputError, match=r"motor_x, motor_y.*have none"):
-        roll_out(model, bare)
+        roll_out(model, Play("", bare))
 
 
 def test_bags_of_a_model_are_explained_by_it_on_the_command_line(model, tmp_path):

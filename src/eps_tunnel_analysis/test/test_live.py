@@ -8,10 +8,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from eps_tunnel_analysis.alikeness import LEAST_TRIALS
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.live import LiveGap
-from eps_tunnel_analysis.live_counts import StampCounts
-from eps_tunnel_analysis.live_figures import Figures
+from eps_tunnel_analysis.live import Figures, LiveGap, StampCounts
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
 from eps_tunnel_analysis.recording.resample import interpolate
 from labyrinth_sim.trials import Array, Trials
@@ -83,7 +82,11 @@ def offline(run: Played, smoothed: bool) -> Figures:
     result = compare(*sides, smoothed=smoothed)
     shares = np.array([[a.shares[name] for a in result.alikeness] for name in SIGNALS])
     joint = np.array([a.joint for a in result.alikeness])
-    return Figures("some", SIGNALS, tuple(a.k_real for a in result.alikeness), shares, joint, 0, sides[0].count, True)
+    rig = result.against_itself
+    itself = np.array([[a.shares[name] for a in rig] for name in SIGNALS]) if rig else np.full(shares.shape, np.nan)
+    itself_joint = np.array([a.joint for a in rig]) if rig else np.full(joint.shape, np.nan)
+    ks = tuple(a.k_real for a in result.alikeness)
+    return Figures("some", SIGNALS, ks, shares, joint, 0, sides[0].count, True, itself, itself_joint)
 
 
 @settings(deadline=None, max_examples=25)
@@ -101,6 +104,9 @@ def test_at_the_end_the_live_figures_are_those_of_the_whole_trials(
     assert (live.trials, live.signals, live.command) == (count, SIGNALS, "some")
     np.testing.assert_array_equal(live.shares, expected.shares)
     np.testing.assert_array_equal(live.joint, expected.joint)
+    np.testing.assert_array_equal(live.itself, expected.itself)
+    np.testing.assert_array_equal(live.itself_joint, expected.itself_joint)
+    assert live.yardstick == (count >= LEAST_TRIALS)
 
 
 @pytest.mark.parametrize("early", [("real",), ("sim",), ("real", "sim")])

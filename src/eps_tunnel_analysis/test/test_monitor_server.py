@@ -17,7 +17,15 @@ from tornado.websocket import websocket_connect
 
 from eps_tunnel_analysis.monitor.access import Access
 from eps_tunnel_analysis.monitor.parts import Job
-from eps_tunnel_analysis.monitor.requests import Add, Arm, Diagnose, Play, Request, Stop, parse_request
+from eps_tunnel_analysis.monitor.requests import (
+    AddRequest,
+    ArmRequest,
+    DiagnoseRequest,
+    PlayRequest,
+    Request,
+    StopRequest,
+    parse_request,
+)
 from eps_tunnel_analysis.monitor.server import MonitorServer
 from eps_tunnel_analysis.monitor.state import State
 from labyrinth_sim.errors import InputError
@@ -91,7 +99,8 @@ def test_the_page_and_all_that_it_needs_come_from_here(local: Served) -> None:
         assert local.get(f"/static/{path}")[0] == 200, path
 
 
-@pytest.mark.parametrize("path", ["/nothing", "/static/../server.py", "/static/%2e%2e/server.py", "/report/2"])
+@pytest.mark.parametrize("path", ["/nothing", "/static/../server.py", "/static/%2e%2e/server.py", "/report/2",
+                                  "/static/%00", "/static/page.js%00", f"/report/{'1' * 5000}"])  # fmt: skip
 def test_nothing_else_is_served(local: Served, path: str) -> None:
     assert local.get(path)[0] in (403, 404)
 
@@ -111,7 +120,7 @@ def test_the_page_served_here_may_ask(local: Served) -> None:
             await asyncio.sleep(0.01)
 
     local.live(ask, Origin=f"http://{local.host}")
-    assert local.asked == [Play("paper_8s", 2), Stop()]
+    assert local.asked == [PlayRequest("paper_8s", 2), StopRequest()]
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://{host}", "http://{host}.evil.example",
@@ -202,11 +211,41 @@ def test_a_port_in_use_is_told(local: Served) -> None:
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [('{"do": "arm", "on": true}', Arm(True)), ('{"do": "diagnose"}', Diagnose()),
-     ('{"do": "add", "names": ["backlash.x", "gravity_load.y"]}', Add(("backlash.x", "gravity_load.y")))],
+    [('{"do": "arm", "on": true}', ArmRequest(True)), ('{"do": "diagnose"}', DiagnoseRequest()),
+     ('{"do": "add", "names": ["backlash.x", "gravity_load.y"]}', AddRequest(("backlash.x", "gravity_load.y")))],
 )  # fmt: skip
 def test_requests_are_read(text: str, expected: Request) -> None:
     assert parse_request(text) == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 9000 + "]" * 9000,
+        '{"do": ' * 2000,
+        json.dumps({"do": "play", "sequence": "a" * 5000}),
+        json.dumps({"do": "add", "names": ["gravity_load.y", "--effects", "/dir"]}),
+        json.dumps({"do": "add", "names": ["../gravity_load.y"]}),
+        json.dumps({"do": "add", "names": ["gravity_load.y"] * 1000}),
+    ],
+)
+def test_a_request_made_to_break_something_is_refused(text: str) -> None:
+    with pytest.raises(InputError) as error:
+        parse_request(text)
+    assert len(str(error.value)) < 1000
+
+
+def test_a_nested_request_leaves_the_connection_open(local: Served) -> None:
+    async def talk(connection: Any) -> Any:
+        await connection.write_message("[" * 4000 + "]" * 4000)
+        while "refused" not in json.loads(await connection.read_message()):
+            pass
+        await connection.write_message('{"do": "stop"}')
+        while not local.asked:
+            await asyncio.sleep(0.01)
+
+    local.live(talk, Origin=f"http://{local.host}")
+    assert local.asked == [StopRequest()]
 
 
 JSON = st.recursive(

@@ -13,12 +13,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eps_tunnel_analysis.monitor.floor import floor_of, rig_of
-from eps_tunnel_analysis.monitor.requests import Add, Arm, Diagnose, Play, Stop
+from eps_tunnel_analysis.monitor.parts import Health, floor_of, rig_of
+from eps_tunnel_analysis.monitor.requests import AddRequest, ArmRequest, DiagnoseRequest, PlayRequest, StopRequest
 from eps_tunnel_analysis.monitor.session import Session
-from eps_tunnel_analysis.monitor.state import State, plain
-from eps_tunnel_analysis.monitor.steps import Steps
-from eps_tunnel_analysis.monitor.tunnel_table import BRIDGED, STEP, TunnelTable
+from eps_tunnel_analysis.monitor.state import (
+    BRIDGED,
+    COLLECTING,
+    PAST,
+    ROW_STEP,
+    RecentHealth,
+    State,
+    Steps,
+    TunnelTable,
+    plain,
+)
+from eps_tunnel_analysis.tasks import AddTask, run_task
 from labyrinth_sim.ball import BallGame
 from labyrinth_sim.build import compiled
 from labyrinth_sim.model import load_model
@@ -29,6 +38,7 @@ SIGNALS = ("a", "b")
 
 def add(table: TunnelTable, time: float, value: float, simulated: float = 0.0, alike: bool = True) -> None:
     two = np.array([value, -value])
+    table.trials = 2
     table.add(time, SIGNALS, two, np.array([-0.1, -0.1]), np.array([0.2, 0.2]), np.full(2, simulated), [alike, True])
 
 
@@ -51,7 +61,7 @@ def test_who_saw_some_revisions_is_told_the_others_only_and_misses_none(order: l
     table.start("key", 1.0)
     for number, row in enumerate(order, 1):
         table.revision = number
-        add(table, row * STEP, float(number))
+        add(table, row * ROW_STEP, float(number))
         if number == cut:
             known.update(rows(table, seen))
             seen = number
@@ -68,7 +78,7 @@ def test_short_gaps_between_samples_are_bridged_and_long_ones_left() -> None:
     table.revision = 1
     add(table, 0.10, 0.0)
     add(table, 0.14, 4.0)
-    add(table, 0.14 + (BRIDGED + 1) * STEP, 9.0)
+    add(table, 0.14 + (BRIDGED + 1) * ROW_STEP, 9.0)
     told = rows(table)
     assert sorted(told) == [10, 11, 12, 13, 14, 14 + BRIDGED + 1]
     assert [told[i][0][0] for i in range(10, 15)] == [0.0, 1.0, 2.0, 3.0, 4.0]
@@ -104,6 +114,47 @@ def test_a_time_far_outside_is_left_out() -> None:
     for wrong in (-1.0, 1e9, float("nan")):
         add(table, wrong, 1.0)
     assert rows(table) == {}
+
+
+def test_what_one_trial_shows_is_not_judged() -> None:
+    table = TunnelTable()
+    table.start("one", 1.0)
+    table.trials = 1
+    table.add(0.1, SIGNALS, np.zeros(2), np.zeros(2), np.zeros(2), np.ones(2), [False, False])
+    assert [cell[-1] for cell in rows(table)[10]] == [COLLECTING, COLLECTING]
+    add(table, 0.1, 0.0, 1.0, alike=False)
+    assert [cell[-1] for cell in rows(table)[10]] == [0, 1]
+    table.start("two", 1.0)
+    assert table.trials == 0
+
+
+def test_trials_gone_by_are_kept_as_they_were() -> None:
+    state = State()
+    for number in range(PAST + 3):
+        state.trial("one", 1.0)  # both sides tell that it begins
+        state.trial("one", 1.0)
+        with state.tunnel() as table:
+            add(table, 0.1, float(number))
+    kept = [number for number, _ in state.changes(-1)[0]["past"]["trials"]]
+    assert len(kept) == PAST
+    last = state.past(kept[-1])
+    assert last is not None
+    assert last["rows"][0][1][0] == float(PAST + 1)  # the one before the running trial
+    assert state.past(kept[0] - 1) is None
+
+
+def test_samples_that_went_wrong_long_ago_trouble_nobody() -> None:
+    recent = RecentHealth()
+
+    def at(seconds: float, received: int, late: int, lost: int) -> float:
+        return recent.at(seconds, Health(received, late, lost, 0, 0, 0, 0)).troubled
+
+    assert at(0.0, 100, 50, 0) == 0.0  # nothing to compare with yet
+    assert at(1.0, 196, 52, 4) == pytest.approx(0.06)
+    for second in range(2, 30):
+        last = at(float(second), 196 + 100 * second, 52, 4)
+    assert last == 0.0
+    assert at(30.0, 10, 0, 0) == 0.0  # another analysis, which counts anew
 
 
 @given(
@@ -187,47 +238,71 @@ def bench(tmp_path: Path) -> Bench:
 
 
 def test_nothing_moves_before_the_rig_is_armed(bench: Bench) -> None:
-    assert "Arm" in bench.do(Play("paper_8s", 2))
-    bench.do(Arm(True))
-    bench.do(Play("paper_8s", 2))
+    assert "Arm" in bench.do(PlayRequest("paper_8s", 2))
+    bench.do(ArmRequest(True))
+    bench.do(PlayRequest("paper_8s", 2))
     assert [entry[:3] for entry in bench.told] == [("play", "paper_8s", 2)]
     bench.playing = False
-    bench.do(Arm(False))
-    assert "Arm" in bench.do(Play("paper_8s", 2))
+    bench.do(ArmRequest(False))
+    assert "Arm" in bench.do(PlayRequest("paper_8s", 2))
 
 
 def test_one_thing_at_a_time_and_each_run_gets_a_folder_of_its_own(bench: Bench) -> None:
-    bench.do(Arm(True))
-    bench.do(Play("paper_8s", 2))
-    assert "Wait" in bench.do(Play("paper_8s", 2))
-    assert "Wait" in bench.do(Diagnose())
-    bench.do(Stop())
+    bench.do(ArmRequest(True))
+    bench.do(PlayRequest("paper_8s", 2))
+    assert "Wait" in bench.do(PlayRequest("paper_8s", 2))
+    assert "Wait" in bench.do(DiagnoseRequest())
+    bench.do(StopRequest())
     bench.playing = False
-    bench.do(Play("excite_12s", 0))
+    bench.do(PlayRequest("excite_12s", 0))
     folders = [entry[3] for entry in bench.told if entry != "stop"]
     assert len(set(folders)) == 2
     assert all("monitor-1" in folder.parts for folder in folders)
 
 
 def test_what_cannot_be_done_is_told_with_what_to_try(bench: Bench) -> None:
-    assert "Play a sequence first" in bench.do(Diagnose())
-    assert "Play a sequence first" in bench.do(Add(("backlash.x",)))
-    bench.do(Arm(True))
-    assert "paper_8s" in bench.do(Play("paper_9s", 2))
+    assert "Play a sequence first" in bench.do(DiagnoseRequest())
+    assert "Play a sequence first" in bench.do(AddRequest(("backlash.x",)))
+    bench.do(ArmRequest(True))
+    assert "paper_8s" in bench.do(PlayRequest("paper_9s", 2))
     bench.ready = False
-    assert "player" in bench.do(Play("paper_8s", 2))
+    assert "player" in bench.do(PlayRequest("paper_8s", 2))
     assert bench.told == []
 
 
 def test_work_that_fails_is_told_in_the_words_of_the_command(bench: Bench, tmp_path: Path) -> None:
     bench.session.played(True, "Played.", [str(tmp_path / "no_bag_real"), str(tmp_path / "no_bag_sim")])
-    bench.do(Diagnose())
+    bench.do(DiagnoseRequest())
     assert bench.state.changes(-1)[0]["job"]["kind"] == "diagnose"
     bench.until(lambda: bench.state.changes(-1)[0]["job"]["kind"] == "")
     _, _, level, text = bench.state.changes(-1)[0]["log"]["entries"][-1]
     assert level == "error"
     assert "no_bag_real" in text
     assert bench.told == []
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "~nobody-of-this-name/x", "a\0b", "/etc/hostname"])
+def test_only_what_is_offered_is_played(bench: Bench, name: str) -> None:
+    bench.do(ArmRequest(True))
+    assert "Unknown sequence" in bench.do(PlayRequest(name, 1))
+    assert bench.told == []
+
+
+def test_effects_that_are_added_are_those_of_the_library_only(bench: Bench, tmp_path: Path) -> None:
+    """And no word that comes over the wire is taken for an option."""
+    ran = tmp_path / "ran"
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "evil.py").write_text(f"open({str(ran)!r}, 'w')\n")
+    bench.session.played(True, "Played.", [str(tmp_path / "bag_real")])
+    words = ("gravity_load.y", "--effects", str(tmp_path / "mine"))
+    assert "Unknown effect '--effects'" in bench.do(AddRequest(words))
+    assert bench.state.changes(-1)[0]["job"]["kind"] == ""
+    task = AddTask(bags=(tmp_path / "bag_real",), model="labyrinth_manual", out=tmp_path / "m.yaml", names=words)
+    assert "Unknown effect '--effects'" in run_task(task, lambda _: None, lambda: False).complaint
+    bags = ("--effects", str(tmp_path / "mine"))
+    task = AddTask(bags=tuple(map(Path, bags)), model="labyrinth_manual", out=tmp_path / "m.yaml", names=words[:1])
+    assert run_task(task, lambda _: None, lambda: False).content is None
+    assert not ran.exists()
 
 
 def test_the_floor_is_that_of_the_ball_game() -> None:

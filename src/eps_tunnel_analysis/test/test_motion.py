@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+import sys
+import threading
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -54,3 +57,30 @@ def test_an_unmeasured_joint_is_not_waited_for_and_nothing_is_known_without_samp
     assert rests[-1]
     watch.reset()
     assert not watch.at_rest
+
+
+def test_one_thread_may_reset_and_ask_while_another_adds() -> None:
+    watch = RestWatch(0.5, 0.01)
+    ends, errors = threading.Event(), []
+
+    def measure() -> None:
+        try:
+            for i in range(3000):
+                watch.add(i / 500, np.zeros(2))
+        except (RuntimeError, IndexError) as error:
+            errors.append(error)
+        ends.set()
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        thread = threading.Thread(target=measure)
+        thread.start()
+        while not ends.is_set():
+            for _ in range(20):
+                watch.at_rest  # noqa: B018
+            watch.reset()
+        thread.join()
+    finally:
+        sys.setswitchinterval(before)
+    assert not errors

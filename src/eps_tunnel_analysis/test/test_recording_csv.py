@@ -19,16 +19,16 @@ def table(path: Path, rows: list[str], header: str = "t,goal,angle,amps") -> Pat
 
 def test_a_table_becomes_trials(tmp_path: Path) -> None:
     rows = [f"{5 + i / 100},{0.01 * i},{0.02 * i},{0.5}" for i in range(51)]
-    bag = csv_to_bag(table(tmp_path / "log.csv", rows), COLUMNS, tmp_path / "bag")
-    trials = read_trials([bag]).trials
+    assert csv_to_bag(table(tmp_path / "log.csv", rows), COLUMNS, tmp_path / "bag") == []
+    trials = read_trials([tmp_path / "bag"]).trials
     assert trials.signals == ("motor_x", "motor_x_effort")
     assert np.allclose(trials.values[0, :, 0], 0.02 * np.arange(51))
     assert np.allclose(trials.commands[0, :, 0], 0.01 * np.arange(51))
 
 
 def test_empty_cells_are_messages_that_were_not_sent(tmp_path: Path) -> None:
-    bag = csv_to_bag(table(tmp_path / "log.csv", ["0,0.1,0.0,1", "0.01,,0.1,1", "0.02,,,"]), COLUMNS, tmp_path / "bag")
-    topics = read(bag).topics
+    csv_to_bag(table(tmp_path / "log.csv", ["0,0.1,0.0,1", "0.01,,0.1,1", "0.02,,,"]), COLUMNS, tmp_path / "bag")
+    topics = read(tmp_path / "bag").topics
     assert len(topics["/real/joint_commands"]) == 1
     assert len(topics["/real/joint_states"]) == 2
 

@@ -10,7 +10,7 @@ from recording_cases import SECOND, START, joints, mark
 
 from eps_tunnel_analysis.recording import BagWriter, read, to_plays
 from eps_tunnel_analysis.recording.channel_map import held_by_all
-from eps_tunnel_analysis.recording.message_types import JOINT_STATE, TRIAL
+from eps_tunnel_analysis.recording.decode import JOINT_STATE, TRIAL
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import load_rig
 

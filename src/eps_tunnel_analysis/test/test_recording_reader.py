@@ -12,8 +12,7 @@ from recording_cases import SECOND, START, STORE, ball, joints, mark, write_bag
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from eps_tunnel_analysis.recording import BagWriter, read, read_all
-from eps_tunnel_analysis.recording.cdr import decode_constant
-from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE, TRIAL
+from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE, TRIAL, decode_constant
 from labyrinth_sim.errors import InputError
 
 finite = st.floats(allow_nan=False, width=64)

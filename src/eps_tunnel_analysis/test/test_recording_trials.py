@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from recording_cases import SECOND, START, ball, command, joints, mark, measured, write_bag
 
 from eps_tunnel_analysis.recording import BagWriter, ChannelMap, Source, channel_map, read, read_trials, to_trials
-from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE, TRIAL
+from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE, TRIAL
 from eps_tunnel_analysis.recording.resample import hold, interpolate
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import load_rig

@@ -14,7 +14,7 @@ from recording_cases import START, joints, write_bag
 from rosbags.highlevel import AnyReader
 
 from eps_tunnel_analysis.recording import BagWriter, RecordingError, read, repair
-from eps_tunnel_analysis.recording.message_types import JOINT_STATE
+from eps_tunnel_analysis.recording.decode import JOINT_STATE
 from labyrinth_sim.errors import InputError
 
 PRELUDE = """

@@ -6,16 +6,19 @@ import re
 import shutil
 import subprocess
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tunnel_cases import make_trials
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.report.compare_report import compare_report
-from eps_tunnel_analysis.report.page import Bar, Chart, Section, Table, Text, render
+from eps_tunnel_analysis.outputs import shown_share, shown_value
+from eps_tunnel_analysis.report.comparison_sections import at_a_glance, headline
+from eps_tunnel_analysis.report.next_step import after_comparison
+from eps_tunnel_analysis.report.page import Bar, Chart, Line, Section, Table, Text, joined_spans, render
 from eps_tunnel_analysis.report.pictures import write_pictures
-from eps_tunnel_analysis.shown import shown_share, shown_value
+from eps_tunnel_analysis.report.reports import compare_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 TIME = np.arange(200) * 0.01
@@ -53,7 +56,8 @@ def comparison():
 
 @pytest.fixture(scope="module")
 def html(comparison):
-    return compare_report(comparison, "Real against <model>", "a & b", [("real bag", "some/<bag>")])
+    step = ("Next.", "eps-tunnel diagnose --real '<bag>'")
+    return compare_report(comparison, "<model>", [("real bag", "some/<bag>")], step)
 
 
 def test_the_page_fetches_nothing(html):
@@ -61,6 +65,7 @@ def test_the_page_fetches_nothing(html):
         for name in ("src", "href", "srcset", "data", "action"):
             target = attributes.get(name) or ""
             assert target.startswith(("#", "data:")) or not target, (tag, target)
+    assert "//" not in re.sub(r"/\*!? https://github.com/leeoniya/uPlot.*?\*/", "", html).split("<body>")[0]
     styles = "".join(re.findall(r"<style>(.*?)</style>", html, flags=re.DOTALL))
     assert "url(" not in styles
     assert "@import" not in styles
@@ -75,32 +80,121 @@ def test_the_page_says_the_figures_that_were_computed(html, comparison):
         assert shown_value(e.command_error, e.unit) in html
 
 
-def test_each_signal_has_a_chart_whose_curves_are_the_tunnel(html, comparison):
-    charts = [c for c in Page(html).data if "yaxis2" in c["layout"]]
-    assert len(charts) == 2
-    for i, chart in enumerate(charts):
-        sim = next(t for t in chart["data"] if t["name"] == "simulation")
-        assert np.allclose(sim["y"], np.degrees(comparison.sim_tunnel.mean[:, i]), rtol=1e-5)
-        low, high = (t["meta"]["deviation"] for t in chart["data"][:2])
-        expected = comparison.real_tunnel.lower[:, i], comparison.real_tunnel.upper[:, i]
-        for got, want in zip((low, high), expected, strict=True):
-            assert np.allclose([np.nan if v is None else v for v in got], np.degrees(want), rtol=1e-5, equal_nan=True)
+def numbers(values):
+    return np.array([np.nan if v is None else v for v in values])
+
+
+def test_each_signal_has_charts_whose_curves_are_the_tunnel(html, comparison):
+    charts = Page(html).data[2:6]  # after the pair at the top: trajectory and deviation of each signal
+    for i, (whole, apart) in enumerate(zip(charts[::2], charts[1::2], strict=True)):
+        lines = {line["name"]: numbers(line["y"]) for line in whole["lines"] + apart["lines"]}
+        sim, real = comparison.sim_tunnel.mean[:, i], comparison.real_tunnel.mean[:, i]
+        close = {"rtol": 0, "atol": 1e-3, "equal_nan": True}
+        assert np.allclose(lines["simulation"], np.degrees(sim), **close)
+        assert np.allclose(lines["real mean"], np.degrees(real), **close)
+        assert np.allclose(lines["simulation − real"], np.degrees(sim - real), **close)
+        for chart in (whole, apart):
+            low, high = numbers(chart["band"]["lower"]), numbers(chart["band"]["upper"])
+            assert np.allclose(low, np.degrees(comparison.real_tunnel.lower[:, i]), **close)
+            assert np.allclose(high, np.degrees(comparison.real_tunnel.upper[:, i]), **close)
         for a in comparison.alikeness:
-            spans = [[s.start, s.end] for s in a.spans("ab"[i])]
-            assert np.allclose(np.reshape(chart["outside"][f"{a.k_real:g}"], (-1, 2)), np.reshape(spans, (-1, 2)))
+            spans = joined_spans([(s.start, s.end) for s in a.spans("ab"[i])], 1.99 / 2000)
+            assert [tuple(span) for span in whole["outside"][f"{a.k_real:g}"]] == spans
+        assert whole["x"] == pytest.approx({"from": 0.0, "step": 0.01, "count": 200})
+
+
+def off_by(error, trials=5, spread=1e-3):
+    """A comparison whose simulation is off by `error` rad where the command is up; the rig repeats within `spread`."""
+    draw = np.random.default_rng(4).normal(0, spread, (trials, 200, 1))
+    real = np.repeat(COMMAND, trials, axis=0) + draw - draw.mean(axis=0)
+    return compare(make_trials(real, commands=np.repeat(COMMAND, trials, axis=0)),
+                   make_trials(COMMAND + error * (COMMAND > 0), commands=COMMAND))  # fmt: skip
+
+
+def test_the_title_is_the_answer():
+    assert headline(off_by(0.02), "m").startswith("m is off by 1")
+    assert "times what the rig itself repeats, most on a" in headline(off_by(0.02), "m")
+    assert headline(off_by(1e-5), "m") == "m is as close to the rig as the rig is to itself"
+    assert "one trial tells no repeat spread" in headline(off_by(0.02, trials=1), "m")
+    page = compare_report(off_by(0.02), "m", [], ("Next.", "eps-tunnel diagnose"))
+    assert re.search(r"<h1>(.*)</h1>", page)[1] == headline(off_by(0.02), "m")
+
+
+def test_the_next_command_is_there_to_copy_until_the_rig_itself_is_no_closer():
+    said, command = after_comparison(off_by(0.02), [Path("my bags/real")], "pendulum", Path("own"))
+    assert command == "eps-tunnel diagnose --real 'my bags/real' --effects own --model pendulum --out why"
+    assert "lacks" in said
+    assert after_comparison(off_by(1e-5), [Path("real")], "pendulum", None)[1] == ""
+    assert "<code>eps-tunnel diagnose --real &#39;&lt;bag&gt;&#39;</code><button" in compare_report(
+        off_by(0.02), "m", [], ("Next.", "eps-tunnel diagnose --real '<bag>'")
+    )
+
+
+@pytest.mark.parametrize("trials", [1, 2, 5])
+def test_three_numbers_open_the_page_and_the_third_says_so_where_it_is_unknown(trials):
+    after, before = off_by(0.002, trials), off_by(0.02, trials)
+    figures = at_a_glance(after, ("", ""), before).blocks[0].items
+    error, alike, rig = figures
+    assert error[0] == shown_value(after.errors[0].command_error, "rad")
+    assert f"{shown_value(before.errors[0].command_error, 'rad')} before" in error[2]
+    assert alike[0] == shown_share(after.alikeness[0].joint)
+    assert rig[0] == (shown_share(after.against_itself[0].joint) if trials > 2 else "–")
+    assert ("Three trials" in rig[2]) == (trials < 3)
+
+
+def test_before_and_after_stand_side_by_side_on_one_scale():
+    pair = at_a_glance(off_by(0.002), ("", ""), off_by(0.02)).blocks[1]
+    (first, before), (second, after) = pair.charts
+    assert (first, second) == ("a before", "a after")
+    assert before.y_range == after.y_range
+    assert np.nanmax(np.abs(before.lines[0].values)) > 5 * np.nanmax(np.abs(after.lines[0].values))
+
+
+def test_the_rig_against_itself_stands_beside_every_alikeness(html, comparison):
+    for a in comparison.against_itself:
+        for share in (*a.shares.values(), a.joint):
+            assert shown_share(share) in html
+    assert html.count("the rig against itself") > len(comparison.signals)
+
+
+def test_a_long_recording_of_many_signals_stays_under_a_megabyte():
+    rng = np.random.default_rng(2)
+    real = rng.normal(size=(3, 30_000, 8))
+    page = compare_report(compare(make_trials(real), make_trials(rng.normal(size=(1, 30_000, 8)))), "m", [])
+    assert len(page.encode()) < 1_000_000
+
+
+def test_paths_are_links_from_where_the_page_is(comparison, tmp_path):
+    (tmp_path / "bags" / "a bag").mkdir(parents=True)
+    bag, out = tmp_path / "bags" / "a bag", tmp_path / "gap"
+    facts = [("real bag", f"{bag} (SHA-256 0123)"), ("model", "labyrinth, rig labyrinth"), ("note", "/none (of)")]
+    links = [a["href"] for tag, a in Page(compare_report(comparison, "m", facts, at=out)).elements if tag == "a"]
+    assert [link for link in links if not link.startswith("#")] == ["../bags/a%20bag"]
+
+
+def test_nothing_has_a_width_that_a_phone_lacks(html):
+    page = Page(html)
+    viewport = {"name": "viewport", "content": "width=device-width, initial-scale=1"}
+    assert ("meta", viewport) in page.elements
+    for tag, attributes in page.elements:
+        for name, size, unit in re.findall(r"((?:min-)?width):\s*([\d.]+)(\S*?)(?:;|$)", attributes.get("style") or ""):
+            assert unit == "%", (tag, name, size, unit)
+    for row in re.findall(r"<tbody>(.*?)</tbody>", html, flags=re.DOTALL):
+        assert row.count("<td ") == row.count("data-label=") > 0  # a folded table tells what each value is
 
 
 def test_names_cannot_break_the_page(html):
-    assert "Real against &lt;model&gt;" in html
+    assert "&lt;model&gt; is off by" in html
     assert "<bag>" not in html
-    chart = Chart(data=[{"name": "</script><b>"}], layout={}, label="")
-    page = render("t", "", [Section("S", [chart])])
-    assert Page(page).data[0]["data"][0]["name"] == "</script><b>"
+    line = Line("</script><b>", np.zeros(3), "real")
+    page = render("t", "", [Section("S", [Chart(np.arange(3.0), [line], "x", "y", label="")])])
+    assert Page(page).data[0]["lines"][0]["name"] == "</script><b>"
 
 
-def test_a_page_without_charts_carries_no_plotly():
+def test_a_page_without_charts_carries_no_charting_library():
     page = render("t", "s", [Section("A title", [Text("hello"), Table(("a", "b"), [("x", Bar(0.5, "50%"))])])])
-    assert len(page) < 20_000
+    assert len(page) < 25_000
+    assert "uPlot" not in page.split("<script>")[0]
     assert 'id="a-title"' in page
     assert "width:50.0%" in page
 
@@ -119,7 +213,7 @@ def test_pictures_are_the_same_bytes_each_time(comparison, tmp_path):
 
 def test_a_signal_never_seen_still_gives_a_report():
     real = make_trials(np.full((2, 30, 1), np.nan))
-    page = compare_report(compare(real, make_trials(np.zeros((1, 30, 1)))), "t", "s", [])
+    page = compare_report(compare(real, make_trials(np.zeros((1, 30, 1)))), "t", [])
     assert "–" in page
 
 
@@ -144,6 +238,6 @@ def test_a_browser_draws_every_chart(html, tmp_path):
     ]
     page = (tmp_path / "report.html").as_uri()
     result = subprocess.run([CHROMIUM, *flags, "--dump-dom", page], capture_output=True, text=True, timeout=120)
-    drawn = re.findall(r'class="chart js-plotly-plot"', result.stdout)
+    drawn = re.findall(r'class="chart".{0,200}? data-drawn="', result.stdout, flags=re.DOTALL)
     assert len(drawn) == len(Page(html).data)
-    assert "var(--" not in re.sub(r"<(style|script).*?</\1>", "", result.stdout, flags=re.DOTALL)
+    assert result.stdout.count("<canvas") == len(drawn)

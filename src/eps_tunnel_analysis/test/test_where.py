@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from tunnel_cases import make_trials, pairs
 
-from eps_tunnel_analysis.phases import MEANING, MOVING, channel_of, phases, target_before
-from eps_tunnel_analysis.where import sentences, where
+from eps_tunnel_analysis.phases import MEANING, MOVING, NOWHERE, channel_of, phases, sentences, target_before, where
 
 STEP = 0.01
 TIME = np.arange(600) * STEP
@@ -29,7 +28,7 @@ def step_command():
 def test_phases_of_a_step_and_back():
     label = phases(TIME, step_command())
     assert [at(label.phase, s) for s in (0.5, 1.0, 1.4, 2.0, 3.2, 4.0, 5.5)] == [
-        "rest", "rise", "rise", "hold", "rise", "rest", "no command",
+        "rest", "moving", "moving", "hold", "moving", "rest", "no command",
     ]  # fmt: skip
     assert [at(label.direction, s) for s in (0.5, 1.0, 2.9, 3.0, 4.0)] == ["none", "up", "up", "down", "down"]
     assert at(label.amplitude, 0.5) == 0
@@ -39,9 +38,9 @@ def test_phases_of_a_step_and_back():
 def test_phases_of_a_triangle_turn_round_at_its_peaks():
     command = 0.07 * (1 - np.abs((TIME / 1.0) % 2 - 1))  # peaks at 1, 3, 5 s
     label = phases(TIME, command)
-    assert at(label.phase, 0.5) == "rise"
+    assert at(label.phase, 0.5) == "moving"
     assert at(label.phase, 1.1) == "reversal"
-    assert at(label.phase, 1.5) == "rise"
+    assert at(label.phase, 1.5) == "moving"
     assert at(label.direction, 0.5) == "up"
     assert at(label.direction, 1.5) == "down"
     assert at(label.amplitude, 1.5) == pytest.approx(0.07)
@@ -50,7 +49,7 @@ def test_phases_of_a_triangle_turn_round_at_its_peaks():
 def test_a_quantised_slow_ramp_is_one_motion():
     tick = 0.001534
     label = phases(TIME, np.floor(TIME * 0.014 / tick) * tick)  # about 9 ticks a second
-    assert set(label.phase[20:]) == {"rise"}
+    assert set(label.phase[20:]) == {"moving"}
     assert set(label.direction[20:]) == {"up"}
 
 
@@ -61,7 +60,7 @@ def test_a_command_that_never_moves_is_rest():
 
 
 @pytest.mark.parametrize("back", [False, True], ids=["a single step", "a step there and back"])
-def test_a_step_at_time_zero_is_a_rise_from_the_initial_pose(back):
+def test_a_step_at_time_zero_moves_from_the_initial_pose(back):
     command = np.full(600, -0.04)
     if back:
         command[200:] = 0.04
@@ -69,11 +68,11 @@ def test_a_step_at_time_zero_is_a_rise_from_the_initial_pose(back):
     before = target_before(TIME, command, measured)
     assert before == pytest.approx(0.04 if back else 0.037)
     label = phases(TIME, command, before)
-    assert [at(label.phase, s) for s in (0.0, 0.4, 1.5)] == ["rise", "rise", "hold"]
+    assert [at(label.phase, s) for s in (0.0, 0.4, 1.5)] == ["moving", "moving", "hold"]
     assert [at(label.direction, s) for s in (0.0, 1.5)] == ["down", "down"]
     assert at(label.amplitude, 0.0) == pytest.approx(0.08 if back else 0.077)
     if back:
-        assert [at(label.phase, s) for s in (2.1, 4.0)] == ["rise", "rest"]
+        assert [at(label.phase, s) for s in (2.1, 4.0)] == ["moving", "rest"]
 
 
 def test_an_offset_from_a_target_that_stands_is_no_step():
@@ -107,7 +106,7 @@ def test_an_offset_while_holding_is_found_there_and_nowhere_else():
     assert worst.error_share == pytest.approx(1)
     assert worst.mean == pytest.approx(0.01)
     assert worst.rms == pytest.approx(0.01)
-    assert "hold, going up: 100% of its squared error" in sentences(rows)[0]
+    assert "hold, after moving upwards: 100% of its squared error" in sentences(rows)[0]
     assert "0.573 deg above" in sentences(rows)[0]
 
 
@@ -136,6 +135,39 @@ def test_shares_of_each_kind_sum_to_one_or_to_nothing(pair):
 def test_a_perfect_model_fails_nowhere():
     trials = make_trials(np.ones((2, 20, 2)), commands=np.zeros((2, 20, 1)))
     assert sentences(where(trials, trials)) == ()
+
+
+def noisy(errors, spreads, commands, trials=4):
+    """Real trials about zero with these repeat spreads (one a signal), and a simulation off by `errors` (T, m)."""
+    draw = np.random.default_rng(3).normal(size=(trials, *errors.shape))
+    draw = (draw - draw.mean(axis=0)) * np.asarray(spreads)
+    commands = np.repeat(commands[None], trials, axis=0)
+    return make_trials(draw, commands=commands, channels=("a",)), make_trials(
+        errors[None], commands=commands[:1], channels=("a",)
+    )
+
+
+def test_where_to_look_is_ranked_across_signals_in_units_of_the_repeat_spread():
+    command = step_command()[:500]
+    moving = np.isin(phases(TIME[:500], command).phase, MOVING)
+    # a is off by less than b in every unit of angle, but by far more than it repeats.
+    errors = np.stack([np.where(moving, 0.002, 0.0), np.where(moving, 0.02, 0.0)], axis=1)
+    rows = where(*noisy(errors, (1e-5, 5e-3), command[:, None]))
+    words = sentences(rows)
+    assert [w.split(",")[0] for w in words[:2]] == ["a", "a"]
+    assert words[0].startswith("a, moving, ")
+    assert "times the rig's repeat spread" in words[0]
+    axes = [m for m in rows if m.kind == "axis"]
+    assert [m.signal for m in axes] == ["a", "b"]
+    assert axes[0].error_share > 0.99
+
+
+def test_an_error_within_the_repeat_spread_is_nowhere():
+    errors = np.full((500, 2), 0.001)
+    inside = where(*noisy(errors, (0.004, 0.004), step_command()[:500, None]))
+    assert sentences(inside) == (NOWHERE,)
+    outside = where(*noisy(errors, (0.004, 0.0001), step_command()[:500, None]))
+    assert [w.split(":")[0] for w in sentences(outside)] == ["b"]
 
 
 def test_an_even_offset_is_told_as_such():

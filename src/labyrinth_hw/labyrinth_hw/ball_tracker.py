@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steel ball in the picture -> its place on the board.
+"""The ball in the picture -> its place on the board.
 
 Steel mirrors the room: it is bright, and as blue as the light is, while wood swallows blue. Brightness in blue beyond
 what wood of the same redness shows marks the ball and leaves out shadows (less light, same colour), holes and lines
-(dark). Glare is as bright but larger, so the mark must be a disc of the ball's size. The disc is measured on the plane
+(dark). A painted marble is marked by its colour beside the wood's. Glare is as bright but larger, so the mark must be a
+disc of the ball's size. The disc is measured on the plane
 through the ball's centre that faces the camera, where a sphere is a circle: no perspective is left in its middle.
 """
 
@@ -15,8 +16,11 @@ from numpy.typing import NDArray
 
 from labyrinth_hw.camera import Array, Frame
 from labyrinth_hw.landmarks import BoardPose
+from labyrinth_hw.marble import Marble, wood_of
 
 Patch = NDArray[np.float32]
+Wood = tuple[float, float] | Array
+"""Around steel the wood's ratio blue/red and its redness; around a marble its BGR colour (3,)."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,10 @@ class BallTracker:
     Attributes:
         board: (width, depth) m within which a centre can be.
         radius: of the ball, m.
-        least_quality: below which nothing is told visible.
+        least_quality: below which nothing counts as visible.
         candidates: places looked at closely when searching the whole board.
         steel: ratio blue/red of steel over that of wood in the same light.
+        marble: colour of a painted one; None for steel.
     """
 
     board: tuple[float, float] = (0.276, 0.231)
@@ -54,6 +59,7 @@ class BallTracker:
     least_quality: float = 0.65
     steel: float = 1.75
     candidates: int = 8
+    marble: Marble | None = None
     _last: tuple[float, float] | None = field(default=None, init=False)
     _wood: tuple[float, float] | None = field(default=None, init=False)  # ratio blue/red, and redness
 
@@ -70,13 +76,13 @@ class BallTracker:
         if region is None:
             return BallObservation(False, float("nan"), float("nan"), stamp, 0.0)
         crop, corner = region
-        ratio, redness = self._wood_in(crop)
+        wood = self._wood_in(crop)
         best: tuple[float, Array] = (0.0, np.full(2, np.nan))
         if self._last is not None:
-            best = self._refine(frame, pose, np.array(self._last), ratio, redness)
+            best = self._refine(frame, pose, np.array(self._last), wood)
         if best[0] < self.least_quality:
-            for place in self._candidates(crop, corner, pose, ratio, redness):
-                best = max(best, self._refine(frame, pose, place, ratio, redness), key=lambda found: found[0])
+            for place in self._candidates(crop, corner, pose, wood):
+                best = max(best, self._refine(frame, pose, place, wood), key=lambda found: found[0])
                 if best[0] > 0.8:
                     break
         quality, (x, y) = best
@@ -94,8 +100,10 @@ class BallTracker:
         x1, y1 = np.minimum(np.ceil(corners.max(0)).astype(int), (frame.shape[1], frame.shape[0]))
         return (frame[y0:y1, x0:x1], np.array([x0, y0])) if x1 - x0 > 20 and y1 - y0 > 20 else None
 
-    def _wood_in(self, crop: Frame) -> tuple[float, float]:
-        """Ratio blue/red and redness of the wood, which most of the board is; smoothed over frames."""
+    def _wood_in(self, crop: Frame) -> Wood:
+        """The wood, which most of the board is; for steel smoothed over frames."""
+        if self.marble is not None:
+            return wood_of(crop)
         sample = crop[::6, ::6].reshape(-1, 3).astype(np.float32)
         red = sample[:, 2]
         lit = sample[(red > 0.6 * np.median(red)) & (red < 250)]
@@ -107,15 +115,22 @@ class BallTracker:
         self._wood = now
         return now
 
-    def _candidates(
-        self, crop: Frame, corner: NDArray[np.int_], pose: BoardPose, ratio: float, redness: float
-    ) -> list[Array]:
-        """Places (m) of the strongest marks of about the ball's size."""
+    def _marked(self, crop: Frame, wood: Wood) -> NDArray[np.uint8]:
+        """(h, w) how much of the ball each pixel shows, 0 to 255."""
+        if self.marble is not None:
+            picture = cv2.blur(crop, (3, 3)).astype(np.float32)
+            return np.asarray(255 * self.marble.share(picture, np.asarray(wood)), np.uint8)
+        ratio, redness = wood
         blue, _, red = cv2.split(cv2.blur(crop, (3, 3)))
         colour = cv2.divide(blue, red, scale=100 / ratio, dtype=cv2.CV_8U)  # 100 for wood
         level = (np.arange(256) / 100 - 1) / (self.steel - 1)
         mark = cv2.LUT(colour, (255 * np.clip(1.5 * level - 0.25, 0, 1)).astype(np.uint8))
         mark[red < 0.25 * redness] = 0
+        return np.asarray(mark, np.uint8)
+
+    def _candidates(self, crop: Frame, corner: NDArray[np.int_], pose: BoardPose, wood: Wood) -> list[Array]:
+        """Places (m) of the strongest marks of about the ball's size."""
+        mark = self._marked(crop, wood)
         depth = float(pose.translation[2]) if pose.translation[2] > 0 else 1.0
         size = pose.intrinsics.fx * self.radius / depth
         inner, outer = (int(2 * round(k * size) + 1) for k in (0.6, 1.7))
@@ -133,11 +148,11 @@ class BallTracker:
             cv2.circle(mask, at, int(1.5 * size) + 1, 0, -1)
         return places
 
-    def _refine(self, frame: Frame, pose: BoardPose, place: Array, ratio: float, redness: float) -> tuple[float, Array]:
+    def _refine(self, frame: Frame, pose: BoardPose, place: Array, wood: Wood) -> tuple[float, Array]:
         """Quality and centre (m) of the disc near `place` (m)."""
         best = (0.0, place)
         for _ in range(2):
-            weight = self._weights(frame, pose, place, ratio, redness)
+            weight = self._weights(frame, pose, place, wood)
             if weight is None:
                 return 0.0, place
             centre = np.array([*place, self.radius])
@@ -161,8 +176,8 @@ class BallTracker:
         across /= np.linalg.norm(across)
         return across, np.cross(across, sight)
 
-    def _weights(self, frame: Frame, pose: BoardPose, place: Array, ratio: float, redness: float) -> Patch | None:
-        """(37, 37) how much of steel each point about `place` shows, 0 to 1, on the plane facing the camera."""
+    def _weights(self, frame: Frame, pose: BoardPose, place: Array, wood: Wood) -> Patch | None:
+        """(37, 37) how much of the ball each point about `place` shows, 0 to 1, on the plane facing the camera."""
         centre = np.array([*place, self.radius])
         across, up = self._facing(centre, pose.eye)
         points = centre + self.radius * (self._grid[..., :1] * across + self._grid[..., 1:] * up)
@@ -171,6 +186,9 @@ class BallTracker:
             return None
         patch = cv2.remap(frame, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         patch = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), 1.2)
+        if self.marble is not None:
+            return self.marble.share(patch, np.asarray(wood))
+        ratio, redness = wood
         blue, red = patch[:, :, 0], patch[:, :, 2]
         colour = (blue / (red + 4) / ratio - 1) / (self.steel - 1)
         bright = red / (0.35 * redness + 1)
@@ -186,7 +204,7 @@ class BallTracker:
         for reach in (1.6, 1.2, 1.2, 1.2, 1.2):
             own = self._grid - at
             window = np.clip((reach - np.hypot(own[..., 0], own[..., 1])) / 0.15, 0, 1)
-            near, expected = window * weight, window * _mirrored_room(own, upright)
+            near, expected = window * weight, window * self._shape(own, upright)
             total = near.sum()
             if total < 10:
                 return None, 0.0
@@ -194,11 +212,17 @@ class BallTracker:
             if np.abs(at).max() > 1.9:
                 return None, 0.0
         own = self._grid - at
-        room = _mirrored_room(own, upright)
+        room = self._shape(own, upright)
         mark, around = weight[room > 0.9], weight[(room < 0.1) & (np.hypot(own[..., 0], own[..., 1]) < 1.5)]
         if not len(mark) or not len(around):
             return None, 0.0
         return at, float(mark.mean() - around.mean())
+
+    def _shape(self, place: Array, upright: Array) -> Array:
+        """Share of the ball's mark, 0 to 1, at `place` (..., 2), radii from its centre."""
+        if self.marble is not None:
+            return np.asarray(np.clip((1 - np.hypot(place[..., 0], place[..., 1])) / 0.1, 0, 1))
+        return _mirrored_room(place, upright)
 
 
 def _mirrored_room(place: Array, upright: Array) -> Array:

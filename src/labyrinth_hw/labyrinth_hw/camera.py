@@ -3,17 +3,21 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from pydantic import Field
 
+from labyrinth_hw import config
+from labyrinth_hw.config import Number, Positive, Section, Whole
 from labyrinth_hw.errors import InputError
+from labyrinth_hw.new_file import write_new
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -24,6 +28,20 @@ def locked(values: object) -> Array:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
+
+
+class IntrinsicsFile(Section):
+    """A camera file as it stands; see `Intrinsics`."""
+
+    width: Annotated[Whole, Field(gt=0)]
+    height: Annotated[Whole, Field(gt=0)]
+    fx: Positive
+    fy: Positive
+    cx: Number
+    cy: Number
+    distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    latency: Number = 0.0
+    residual: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -56,31 +74,17 @@ class Intrinsics:
 
     @staticmethod
     def load(path: Path | str) -> "Intrinsics":
-        """From a YAML file as `save` writes it. Raises InputError that names the missing or unknown keys."""
+        """From a YAML file as `save` writes it. Raises InputError with all complaints."""
         try:
-            figures: Any = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (OSError, yaml.YAMLError) as error:
-            raise InputError(f"Cannot read camera file {path}: {error}. Run calibrate_camera to make one.") from error
-        names = set(Intrinsics.__dataclass_fields__)
-        given = set(figures) if isinstance(figures, dict) else set()
-        missing = names - {"distortion", "latency", "residual"} - given
-        if missing or given - names:
-            unknown = sorted(given - names)
-            complaint = f"missing {sorted(missing)}, unknown {unknown}. Valid: {sorted(names)}."
-            raise InputError(f"Camera file {path}: {complaint}")
-        figures["distortion"] = tuple(float(k) for k in figures.get("distortion", (0.0,) * 5))
-        if len(figures["distortion"]) != 5:
-            raise InputError(f"Camera file {path}: distortion needs k1, k2, p1, p2, k3; got {figures['distortion']}.")
-        return Intrinsics(**figures)
+            figures = config.read(path).checked(IntrinsicsFile)
+        except InputError as error:
+            raise InputError([*error.complaints, "Run calibrate_camera to make a camera file."]) from error
+        return Intrinsics(**figures.model_dump())
 
     def save(self, path: Path | str) -> None:
-        """To a new YAML file. Raises InputError where the file exists: nothing is overwritten."""
+        """To a new YAML file. Raises InputError where it exists, for nothing is overwritten, or cannot be written."""
         figures = {**asdict(self), "distortion": list(self.distortion)}
-        try:
-            with Path(path).open("x", encoding="utf-8") as file:
-                yaml.safe_dump(figures, file, sort_keys=False)
-        except FileExistsError as error:
-            raise InputError(f"{path} exists and is not overwritten. Give another name.") from error
+        write_new(Path(path), yaml.safe_dump(figures, sort_keys=False))
 
     def arrays(self) -> tuple[Array, Array]:
         """Camera matrix (3, 3) and distortion (5,) as OpenCV takes them."""
@@ -110,7 +114,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class CameraState:
-    """What to tell in diagnostics: connected or not, frames arrived, times lost, latency s, and a sentence."""
+    """For diagnostics: connected or not, frames arrived, times lost, latency s, and a sentence."""
 
     connected: bool
     frames: int
@@ -129,7 +133,7 @@ class Camera:
         size: (width, height) to ask a device for; rate: frames per second to ask for.
         retry: s between attempts to open a source that is gone.
         loop: start a file again at its end; a file's frames come at the file's own rate.
-        told: called with a sentence whenever the source is lost or comes back.
+        on_change: called with a sentence whenever the source is lost or comes back.
     """
 
     def __init__(
@@ -141,11 +145,11 @@ class Camera:
         rate: float | None = None,
         retry: float = 0.5,
         loop: bool = False,
-        told: Callable[[str], None] = lambda message: None,
+        on_change: Callable[[str], None] = lambda message: None,
     ) -> None:
         self.source = int(source) if isinstance(source, str) and source.isdigit() else source
         self.latency, self._clock, self._size, self._rate = latency, clock, size, rate
-        self._retry, self._loop, self._told = retry, loop, told
+        self._retry, self._loop, self._on_change = retry, loop, on_change
         self._fresh = threading.Condition()
         self._shot: Shot | None = None
         self._frames = self._losses = 0
@@ -164,13 +168,6 @@ class Camera:
         with self._fresh:
             self._fresh.wait_for(lambda: self._over.is_set() or self._ahead(after), timeout)
             return self._shot if self._ahead(after) else None
-
-    def shots(self, timeout: float = 1.0) -> Iterator[Shot]:
-        """Newest frames, each once, until nothing came for `timeout` s or the camera was closed."""
-        number = 0
-        while (shot := self.newest(number, timeout)) is not None:
-            number = shot.number
-            yield shot
 
     def close(self) -> None:
         """Ends the thread and frees the device."""
@@ -249,4 +246,4 @@ class Camera:
             self._losses += self._connected and not connected
             self._connected, self._message = connected, message
         if changed:
-            self._told(message)
+            self._on_change(message)

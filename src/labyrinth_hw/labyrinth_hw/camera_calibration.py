@@ -69,12 +69,12 @@ def calibrate_from_frames(
     frames: Iterable[Frame],
     inner: tuple[int, int],
     square: float,
-    told: Callable[[int, int], None] = lambda seen, views: None,
+    progress: Callable[[int, int], None] = lambda seen, views: None,
 ) -> Intrinsics:
     """Intrinsics from pictures or a stream; pictures without the whole chessboard are passed over.
 
     Args:
-        told: called with (pictures seen, pictures used) after each.
+        progress: called with (pictures seen, pictures used) after each.
     """
     views: list[Array] = []
     size: tuple[int, int] | None = None
@@ -86,7 +86,7 @@ def calibrate_from_frames(
         corners = find_chessboard(frame, inner)
         if corners is not None:
             views.append(corners)
-        told(seen, len(views))
+        progress(seen, len(views))
     return calibrate_lens(views, inner, square, size or (0, 0))
 
 

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's extended motor control: a map of each servo's local positioning error, and the belt's slack.
 
-Both turn the angle that the board shall have into the goal that the servo must get for it.
+Both turn the wanted angle of the board into the goal that the servo must get for it.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ class Compensation:
 
     Attributes:
         angles: rad, increasing; goals at which the error was measured.
-        errors: rad; where the board went minus where it was told to go, mean of both directions.
+        errors: rad; where the board went minus the goal, mean of both directions.
         slack: rad; total slack of the belt, the difference between coming from above and from below.
     """
 
@@ -75,31 +74,15 @@ def measured_map(goals: Sequence[float], rising: Sequence[float], falling: Seque
     """A compensation from rest positions of the board.
 
     Args:
-        goals: (n,) rad, increasing; what was told.
+        goals: (n,) rad, increasing; goals sent.
         rising: (n,) rad; where the board rested when the goal was approached from below.
         falling: (n,) rad; the same from above.
     """
-    told, up, down = (np.asarray(values, dtype=float) for values in (goals, rising, falling))
-    if not told.shape == up.shape == down.shape or told.ndim != 1 or len(told) < 2:
+    sent, up, down = (np.asarray(values, dtype=float) for values in (goals, rising, falling))
+    if not sent.shape == up.shape == down.shape or sent.ndim != 1 or len(sent) < 2:
         raise InputError(
-            f"A map needs two goals or more and a rest from each side, got {told.shape}, {up.shape}, {down.shape}."
+            f"A map needs two goals or more and a rest from each side, got {sent.shape}, {up.shape}, {down.shape}."
         )
-    # An offset that is the same everywhere (the potentiometer's zero) stays in the map, for the board shall be level.
+    # An offset that is the same everywhere (the potentiometer's zero) stays in the map: the board is to be level.
     slack = max(0.0, float(np.median(down - up)))
-    return Compensation(tuple(told), tuple(0.5 * (up + down) - told), slack)
-
-
-def compensation_from(name: str, entry: Mapping[str, Any]) -> Compensation:
-    """From `config/hw/*.yaml`: {angles_deg, errors_deg, slack_deg}."""
-    unknown = set(entry) - {"angles_deg", "errors_deg", "slack_deg"}
-    if unknown:
-        raise InputError(
-            f"Compensation of {name}: unknown keys {sorted(unknown)}; valid are angles_deg, errors_deg, slack_deg."
-        )
-    try:
-        angles, errors = (
-            tuple(np.radians(np.array(entry.get(k, ()), dtype=float))) for k in ("angles_deg", "errors_deg")
-        )
-        return Compensation(angles, errors, float(np.radians(float(entry.get("slack_deg", 0.0)))))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"Compensation of {name}: {error}") from error
+    return Compensation(tuple(sent), tuple(0.5 * (up + down) - sent), slack)

@@ -15,7 +15,7 @@ from difflib import get_close_matches
 
 
 class InputError(ValueError):
-    """Everything wrong with one input, told at once.
+    """Everything wrong with one input, all complaints together.
 
     Args:
         complaints: one sentence each: what came, what was expected, what to try.

@@ -1,14 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motors by name, and what they tell, in SI units at the joint."""
+"""Motors by name, and their measurements in SI units at the joint."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from math import radians
+from dataclasses import dataclass
 
-from labyrinth_hw.bus_time import BLOCKS, block
-from labyrinth_hw.control_tables import servo_model
-from labyrinth_hw.errors import BusError, InputError
-from labyrinth_hw.registers import ServoModel
+from labyrinth_hw.control_tables import ServoModel
+from labyrinth_hw.errors import BusError
+
+OPERATING_MODES = {"current": 0, "position": 3, "extended_position": 4, "current_based_position": 5}  # of protocol 2
+POSITION_MODES = ("position", "extended_position", "current_based_position")
+BLOCKS = (
+    ("present_position", "present_speed", "effort", "present_voltage", "present_temperature"),
+    ("present_position", "present_speed", "effort"),
+    ("present_position", "present_speed"),
+    ("present_position",),
+)
+
+
+def block(model: ServoModel, what: tuple[str, ...]) -> tuple[int, int]:
+    """First address and length of the smallest contiguous block that holds these registers."""
+    names = [model.effort_register if name == "effort" else name for name in what]
+    registers = [model.register(name) for name in names]
+    start = min(r.address for r in registers)
+    return start, max(r.address + r.size for r in registers) - start
+
+
+@dataclass(frozen=True)
+class CurrentLaw:
+    """What a servo in current mode is driven by, once every control period: torque = K (goal - position) - C speed.
+
+    Attributes:
+        stiffness: K, N m/rad at the servo's shaft.
+        damping: C, N m s/rad.
+    """
+
+    stiffness: float
+    damping: float
 
 
 @dataclass(frozen=True)
@@ -21,6 +47,8 @@ class Motor:
         model: its control table.
         sign: +1, or -1 where the servo is mounted the other way round.
         zero: rad of the servo at joint angle 0.
+        operating_mode: number to be written to the servo (protocol 2); None leaves what it has.
+        law: of a servo that follows currents; None for one that follows positions.
     """
 
     name: str
@@ -28,11 +56,24 @@ class Motor:
     model: ServoModel
     sign: int = 1
     zero: float = 0.0
+    operating_mode: int | None = None
+    law: CurrentLaw | None = None
+
+    def current(self, goal: float, state: "MotorState", share: float = 1.0) -> float:
+        """A at the servo, signed as it counts, that its law asks for; at most `share` of the stall current.
+
+        Args:
+            goal: rad at the joint. state: what the servo measured last.
+        """
+        assert self.law is not None
+        torque = self.law.stiffness * (goal - state.position) - self.law.damping * (state.speed or 0.0)
+        most = share * self.model.stall_torque
+        return self.sign * max(-most, min(most, torque)) / self.model.torque_constant
 
 
 @dataclass(frozen=True)
 class MotorState:
-    """What one servo told in one answer; None where a value was not read this time.
+    """What one servo reported in one answer; None where a value was not read this time.
 
     Attributes:
         stamp: s, `time.monotonic()` at the middle of the exchange.
@@ -51,48 +92,6 @@ class MotorState:
     voltage: float | None = None
     temperature: float | None = None
     alarm: int = 0
-
-
-@dataclass
-class BusCounters:
-    """Packets since the port was opened."""
-
-    sent: int = 0
-    lost: int = 0
-    corrupt: int = 0
-    retried: int = 0
-    failed: int = 0
-    by_motor: dict[str, int] = field(default_factory=dict)
-
-
-def motors_from(config: Mapping[str, Mapping[str, object]]) -> list[Motor]:
-    """Motors of a `config/hw/*.yaml`: name -> {id, model, sign, zero_deg}.
-
-    Raises:
-        InputError: unknown model, missing id; all complaints at once.
-    """
-    complaints, motors = [], []
-    for name, entry in config.items():
-        unknown = set(entry) - {"id", "model", "sign", "zero_deg"}
-        if unknown:
-            complaints.append(f"Motor {name}: unknown keys {sorted(unknown)}; valid are id, model, sign, zero_deg.")
-        try:
-            motors.append(
-                Motor(
-                    name=name,
-                    id=int(entry["id"]),  # type: ignore[call-overload]
-                    model=servo_model(str(entry["model"])),
-                    sign=int(entry.get("sign", 1)),  # type: ignore[call-overload]
-                    zero=radians(float(entry.get("zero_deg", 0.0))),  # type: ignore[arg-type]
-                )
-            )
-        except KeyError as error:
-            complaints.append(f"Motor {name}: {error} is missing; a motor needs at least id and model.")
-        except (InputError, TypeError, ValueError) as error:
-            complaints.append(f"Motor {name}: {error}")
-    if complaints:
-        raise InputError(complaints)
-    return motors
 
 
 def motor_state(motor: Motor, data: bytes, alarm: int, stamp: float) -> MotorState:

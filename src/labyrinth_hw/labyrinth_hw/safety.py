@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What may be sent to the servos: a state machine without clock, bus or ROS of its own.
 
-    WAITING --first valid command--> ACTIVE <--fresh command / no command for `timeout`--> HOLDING
-    any --limit passed or alarm told--> STOPPED --reset--> WAITING
+    DISARMED --arm--> WAITING --first valid command--> ACTIVE <--fresh command / none for `timeout`--> HOLDING
+    WAITING, HOLDING --silence for `disarm_after`--> DISARMED
+    any --limit passed or alarm reported--> STOPPED --reset--> DISARMED
 
-Torque is on in ACTIVE and HOLDING only.
+Torque is on in ACTIVE and HOLDING only. The timeout holds motor by motor: a motor whose command is old stays where it
+is while others move.
 """
 
 import math
@@ -22,7 +24,8 @@ VOLTAGE_SAMPLES = 5  # a dip while the motors start is no fault
 class State(Enum):
     """Of the safety machine."""
 
-    WAITING = "waiting for a first valid command, torque off"
+    DISARMED = "disarmed, torque off; activate the node to arm it"
+    WAITING = "armed, waiting for a first valid command, torque off"
     ACTIVE = "following commands"
     HOLDING = "no fresh command, holding still"
     STOPPED = "torque off until reset"
@@ -48,20 +51,31 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Command:
-    """Goals, rad, by motor; `received`: s of the steady clock that `Safety.step` is given."""
+class Goal:
+    """Where a motor is to go, rad; `received`: s of the steady clock that `Safety.step` is given."""
 
-    goals: Mapping[str, float]
+    angle: float
     received: float
 
 
 @dataclass(frozen=True)
 class Order:
-    """What to send now: torque on or off, goals (rad) or none, and whether goals were clipped."""
+    """What to send now.
+
+    Attributes:
+        torque: on or off.
+        goals: rad, of every motor; None for none.
+        commanded: motors whose goal is a command, not where they hold.
+        clipped: motors whose command lay beyond their limits.
+    """
 
     torque: bool
-    goals: Mapping[str, float] | None
-    clipped: tuple[str, ...] = ()
+    goals: Mapping[str, float] | None = None
+    commanded: frozenset[str] = frozenset()
+    clipped: frozenset[str] = frozenset()
+
+
+OFF = Order(False)
 
 
 @dataclass
@@ -71,17 +85,20 @@ class Safety:
     Args:
         limits: by motor.
         timeout: s after which a command is old.
+        disarm_after: s without a command after which it disarms itself; None never does.
         meanings: of alarm bits, by motor.
     """
 
     limits: Mapping[str, Limits]
     timeout: float = 0.2
+    disarm_after: float | None = None
     meanings: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
-    state: State = State.WAITING
-    reasons: tuple[str, ...] = ()
-    rejected: int = 0
-    _goals: dict[str, float] | None = None
-    _bad: dict[str, int] = field(default_factory=dict)
+    state: State = field(default=State.DISARMED, init=False)
+    reasons: tuple[str, ...] = field(default=(), init=False)
+    _held: dict[str, float] = field(default_factory=dict, init=False)
+    _armed_at: float = field(default=0.0, init=False)
+    _newest: float = field(default=0.0, init=False)  # s, of the commands since it was armed
+    _bad: dict[str, int] = field(default_factory=dict, init=False)
 
     def check(self, goals: Mapping[str, float]) -> None:
         """Whether goals are valid. Raises InputError that says what is wrong with them."""
@@ -98,53 +115,81 @@ class Safety:
         if not goals:
             complaints.append(f"The command names no motor; expected some of {sorted(self.limits)}.")
         if complaints:
-            self.rejected += 1
             raise InputError(complaints)
 
-    def step(self, now: float, measured: Mapping[str, MotorState], command: Command | None) -> Order:
+    def arm(self, now: float) -> None:
+        """Obey commands that are received from `now` on, s. Raises InputError while stopped."""
+        if self.state is State.STOPPED:
+            raise InputError(f"Stopped: {'; '.join(self.reasons)}. Mend that, then call the reset service.")
+        if self.state is State.DISARMED:
+            self.state, self.reasons = State.WAITING, ()
+            self._armed_at = self._newest = now
+
+    def disarm(self, reason: str = "") -> None:
+        """Torque off until armed again. A stop stays a stop."""
+        self._held.clear()
+        if self.state not in (State.STOPPED, State.DISARMED):
+            self.state, self.reasons = State.DISARMED, (reason,) if reason else ()
+
+    @property
+    def armed(self) -> bool:
+        """Whether a command would be obeyed."""
+        return self.state not in (State.DISARMED, State.STOPPED)
+
+    def step(self, now: float, measured: Mapping[str, MotorState], goals: Mapping[str, Goal]) -> Order:
         """One control period.
 
         Args:
-            now: s, the same clock as `Command.received`.
+            now: s, the same clock as `Goal.received`.
             measured: newest state of every motor.
-            command: newest command that `check` let pass, or None.
+            goals: newest of each motor that `check` let pass; motors never commanded are left out.
         """
-        found = tuple(self._violations(measured))
-        if found:
-            self.state, self.reasons = State.STOPPED, tuple(dict.fromkeys((*self.reasons, *found)))
-        if self.state is State.STOPPED:
-            self._goals = None
-            return Order(False, None)
-        fresh = command is not None and 0 <= now - command.received <= self.timeout
-        if command is not None and fresh:
+        violations = tuple(self._violations(measured))
+        if violations:
+            self._held.clear()
+            self.state, self.reasons = State.STOPPED, tuple(dict.fromkeys((*self.reasons, *violations)))
+        if not self.armed:
+            return OFF
+        fresh = {name: goal for name, goal in goals.items() if self._fresh(goal, now)}
+        if fresh:
             self.state = State.ACTIVE
-            self._goals = {
-                n: max(-self.limits[n].angle, min(self.limits[n].angle, g)) for n, g in command.goals.items()
-            }
-            clipped = tuple(n for n, g in command.goals.items() if g != self._goals[n])
-            return Order(True, self._goals, clipped)
-        if self.state is State.ACTIVE:
-            # Where the motors are now, not where they were told to go: motion ends here.
+            self._newest = max(goal.received for goal in fresh.values())
+        elif self.state is State.ACTIVE:
             self.state = State.HOLDING
-            self._goals = {
-                n: max(-self.limits[n].angle, min(self.limits[n].angle, m.position)) for n, m in measured.items()
-            }
-        return Order(self.state is State.HOLDING, self._goals)
-
-    def stop(self, reason: str) -> None:
-        """Stop for a reason that others found."""
-        self.state, self.reasons = State.STOPPED, tuple(dict.fromkeys((*self.reasons, reason)))
+        elif self.disarm_after is not None and now - self._newest > self.disarm_after:
+            self.disarm(f"no command for {self.disarm_after:g} s")
+            return OFF
+        if self.state is State.WAITING:
+            return OFF
+        wanted = {name: self._clip(name, goal.angle) for name, goal in fresh.items()}
+        for name, motor in measured.items():
+            if name in wanted:
+                self._held.pop(name, None)
+            else:
+                # Where the motor is now, not where it was to go: motion ends here.
+                self._held.setdefault(name, self._clip(name, motor.position))
+        clipped = frozenset(name for name, goal in fresh.items() if goal.angle != wanted[name])
+        return Order(True, {**self._held, **wanted}, frozenset(wanted), clipped)
 
     def lost_contact(self) -> None:
-        """The bus was gone: what was ordered no longer holds. A stop stays a stop."""
-        self._goals = None
-        if self.state is not State.STOPPED:
+        """The bus was gone: what was ordered no longer holds, and a fresh command is needed."""
+        self._held.clear()
+        if self.armed:
             self.state = State.WAITING
 
     def reset(self) -> None:
-        """Forget the stop; the next valid command moves again."""
-        self.state, self.reasons, self._goals = State.WAITING, (), None
+        """Forget the stop. What was stopped is disarmed."""
+        self._held.clear()
         self._bad.clear()
+        if self.state is State.STOPPED:
+            self.state, self.reasons = State.DISARMED, ()
+
+    def _fresh(self, goal: Goal, now: float) -> bool:
+        return goal.received >= self._armed_at and 0 <= now - goal.received <= self.timeout
+
+    def _clip(self, name: str, angle: float) -> float:
+        limit = self.limits[name].angle
+        return max(-limit, min(limit, angle))
 
     def _violations(self, measured: Mapping[str, MotorState]) -> list[str]:
         found = []

@@ -1,5 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Potentiometers, piezo and ball depot behind the sensor line."""
+"""Potentiometers, piezo and ball depot behind the sensor line: ASCII sentences with a checksum, as in NMEA 0183.
+
+Host to microcontroller, microcontroller to host:
+
+    $R*52           $S,<seq>,<micros>,<pot_x>,<pot_y>,<piezo>,<depot>*<checksum>
+    $B*42           the same, after the depot was asked to release a ball
+
+Counts are decimal; the checksum is the XOR of the bytes between `$` and `*`, in two hexadecimal digits; a sentence ends
+with a line feed. The potentiometers are sampled when the request's line feed arrives.
+"""
 
 import select
 import time
@@ -10,10 +19,67 @@ from math import nan
 import numpy as np
 import serial
 
-from labyrinth_hw import sensor_protocol
 from labyrinth_hw.errors import SensorError
-from labyrinth_hw.sensor_protocol import SensorSample
-from labyrinth_hw.serial_line import GONE, open_exclusively
+from labyrinth_hw.serial_port import GONE, open_exclusively
+
+READ_REQUEST, SUPPLY_REQUEST = "R", "B"
+
+
+@dataclass(frozen=True)
+class SensorSample:
+    """One answer of the sensor line.
+
+    Attributes:
+        sequence: 0..65535, grows by one per answer.
+        micros: microseconds of the microcontroller's clock when the potentiometers were sampled, modulo 2^32.
+        pot_x, pot_y: counts of the potentiometers' converters.
+        piezo: hits since power-up, modulo 65536.
+        depot: balls released since power-up, modulo 65536.
+    """
+
+    sequence: int
+    micros: int
+    pot_x: int
+    pot_y: int
+    piezo: int
+    depot: int
+
+
+def sentence(body: str) -> bytes:
+    """A body with frame and checksum."""
+    value = 0
+    for byte in body.encode("ascii"):
+        value ^= byte
+    return f"${body}*{value:02X}\n".encode("ascii")
+
+
+def unpack(line: bytes) -> str | None:
+    """The body of a sentence, or None where frame or checksum are wrong."""
+    text = line.strip()
+    if len(text) < 4 or text[:1] != b"$" or text[-3:-2] != b"*" or not text.isascii():
+        return None
+    body = text[1:-3].decode("ascii")
+    return body if sentence(body).strip().upper() == text.upper() else None
+
+
+def write_sample(sample: SensorSample) -> bytes:
+    """A sample as a sentence."""
+    s = sample
+    return sentence(f"S,{s.sequence},{s.micros},{s.pot_x},{s.pot_y},{s.piezo},{s.depot}")
+
+
+def read_sample(line: bytes) -> SensorSample | None:
+    """The sample in a line, or None where the line holds none."""
+    body = unpack(line)
+    if body is None:
+        return None
+    fields = body.split(",")
+    if len(fields) != 7 or fields[0] != "S":
+        return None
+    try:
+        return SensorSample(*(int(field) for field in fields[1:]))
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -37,7 +103,7 @@ class Potentiometer:
 
 @dataclass(frozen=True)
 class BoardState:
-    """What the sensor line told.
+    """What the sensor line measured.
 
     Attributes:
         stamp: s, `time.monotonic()` of the request.
@@ -100,7 +166,7 @@ class SensorLine:
         self._slope = Slope()
 
     def open(self) -> None:
-        """Open the port without waiting for an answer: a microcontroller may start anew by this. Raises PortError."""
+        """Open the port without waiting for an answer: opening restarts some microcontrollers. Raises PortError."""
         self._port = open_exclusively(self.path, self.baud)
 
     def connect(self) -> None:
@@ -113,7 +179,7 @@ class SensorLine:
         self.close()
         raise SensorError(
             f"No valid answer on {self.path} at {self.baud} baud. Expected a line like "
-            f"{sensor_protocol.sentence('S,0,0,0,0,0,0').decode().strip()} to each request; check baud and firmware."
+            f"{sentence('S,0,0,0,0,0,0').decode().strip()} to each request; check baud and firmware."
         )
 
     def close(self) -> None:
@@ -129,7 +195,7 @@ class SensorLine:
             port.reset_input_buffer()
             self._buffer.clear()
             self._stamp = time.monotonic()
-            port.write(sensor_protocol.sentence(sensor_protocol.SUPPLY if supply else sensor_protocol.READ))
+            port.write(sentence(SUPPLY_REQUEST if supply else READ_REQUEST))
         except GONE as error:
             raise SensorError(f"Sensor line {self.path} is gone: {error}.") from error
         self.asked += 1
@@ -142,7 +208,7 @@ class SensorLine:
             line, newline, rest = bytes(self._buffer).partition(b"\n")
             if newline:
                 self._buffer[:] = rest
-                sample = sensor_protocol.read_sample(line)
+                sample = read_sample(line)
                 if sample is not None:
                     return self._state(sample)
                 self.damaged += 1

@@ -1,39 +1,217 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is connected where: config/hw/*.yaml."""
+"""What is connected where: config/hw/*.yaml, with degrees where a key says so; `HardwareConfig` has SI units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import hypot, radians
+from math import degrees, hypot, radians
 from pathlib import Path
+from typing import Annotated, Literal
 
-import yaml
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from labyrinth_hw import config
-from labyrinth_hw.compensation import Compensation, compensation_from
-from labyrinth_hw.errors import InputError, unknown_name
-from labyrinth_hw.links import device
-from labyrinth_hw.motors import Motor, motors_from
+from labyrinth_hw.compensation import Compensation
+from labyrinth_hw.config import Number, Positive, Section, Whole
+from labyrinth_hw.control_tables import servo_model
+from labyrinth_hw.devices import device
+from labyrinth_hw.errors import InputError
+from labyrinth_hw.geometry import load_geometry
+from labyrinth_hw.motors import OPERATING_MODES, CurrentLaw, Motor
 from labyrinth_hw.safety import Limits
 from labyrinth_hw.sensors import Potentiometer
-from labyrinth_hw.vision import CameraSettings, camera_settings
 
 NEAR_HOLE = 0.03  # m
-KEYS = {
-    "servo_port",
-    "sensor_port",
-    "motors",
-    "potentiometers",
-    "limits",
-    "compensation",
-    "torque_share",
-    "camera",
-    "layout",
-}
+Sign = Literal[-1, 1]
+Name = Annotated[str, BeforeValidator(str)]  # a device number is a name too
+
+
+class PortSection(Section):
+    """A serial line: device, or the bare name of a link of the emulated testbed; bits per second."""
+
+    path: str
+    baud: Annotated[Whole, Field(gt=0)]
+
+
+class CurrentLawSection(Section):
+    """How a servo in current mode is driven; see `CurrentLaw`. N m/rad and N m s/rad at its shaft."""
+
+    stiffness: Positive
+    damping: Annotated[Number, Field(ge=0)] = 0.0
+
+
+class MotorSection(Section):
+    """A servo on the bus; see `Motor`. With a `current_law` it is driven by currents, else by positions."""
+
+    id: Annotated[Whole, Field(ge=0, le=252)]
+    model: str
+    sign: Sign = 1
+    zero_deg: Number = 0.0
+    operating_mode: Literal["current", "position", "extended_position", "current_based_position"] | None = None
+    current_law: CurrentLawSection | None = None
+
+    @field_validator("model")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        return servo_model(name).name
+
+    @model_validator(mode="after")
+    def _possible(self) -> "MotorSection":
+        registers = servo_model(self.model).registers
+        if self.operating_mode is not None and "operating_mode" not in registers:
+            raise ValueError(f"operating_mode: {self.model} has none (protocol 1.0); leave the key out")
+        if self.operating_mode == "current_based_position" and "goal_current" not in registers:
+            raise ValueError(f"operating_mode: {self.model} measures no current; use position")
+        if self.current_law is not None and "goal_current" not in registers:
+            raise ValueError(f"current_law: {self.model} follows no currents; leave the key out")
+        if self.operating_mode is not None and (self.operating_mode == "current") != (self.current_law is not None):
+            raise ValueError("operating_mode: current and current_law come together or not at all")
+        return self
+
+    def motor(self, name: str) -> Motor:
+        """In SI units."""
+        mode = None if self.operating_mode is None else OPERATING_MODES[self.operating_mode]
+        law = None if self.current_law is None else CurrentLaw(self.current_law.stiffness, self.current_law.damping)
+        return Motor(name, self.id, servo_model(self.model), self.sign, radians(self.zero_deg), mode, law)
+
+
+class PotentiometerSection(Section):
+    """How counts become an angle; see `Potentiometer`."""
+
+    zero: Number
+    rad_per_count: Number
+    sign: Sign = 1
+
+
+class LimitsSection(Section):
+    """What a motor may do; see `Limits`. Voltages left out are those of the servo's own registers."""
+
+    angle_deg: Positive = 6.0
+    speed_deg_s: Positive = 400.0
+    temperature_c: Number = 70.0
+    min_voltage: Number | None = None
+    max_voltage: Number | None = None
+
+    def limits(self, motor: Motor) -> Limits:
+        """In SI units."""
+        low, high = (motor.model.registers[name] for name in ("min_voltage", "max_voltage"))
+        return Limits(
+            angle=radians(self.angle_deg),
+            speed=radians(self.speed_deg_s),
+            temperature=self.temperature_c,
+            voltage=(
+                low.to_si(low.initial) if self.min_voltage is None else self.min_voltage,
+                high.to_si(high.initial) if self.max_voltage is None else self.max_voltage,
+            ),
+        )
+
+
+class CompensationSection(Section):
+    """What calibrate_motors measured; see `Compensation`."""
+
+    angles_deg: tuple[Number, ...] = ()
+    errors_deg: tuple[Number, ...] = ()
+    slack_deg: Number = 0.0
+
+    @model_validator(mode="after")
+    def _usable(self) -> "CompensationSection":
+        self.compensation()
+        return self
+
+    def compensation(self) -> Compensation:
+        """In SI units. Raises InputError where the map is none."""
+        angles, errors = (tuple(radians(v) for v in values) for values in (self.angles_deg, self.errors_deg))
+        return Compensation(angles, errors, radians(self.slack_deg))
+
+    @staticmethod
+    def of(entry: Compensation) -> "CompensationSection":
+        """As it stands in a file: degrees to 0.1 millidegrees."""
+        angles, errors, (slack,) = (
+            tuple(round(degrees(v), 4) for v in values) for values in (entry.angles, entry.errors, (entry.slack,))
+        )
+        return CompensationSection(angles_deg=angles, errors_deg=errors, slack_deg=slack)
+
+
+class CameraSettings(Section):
+    """The camera.
+
+    Attributes:
+        source: device number or path, file, stream address, or "testbed".
+        intrinsics: file of calibrate_camera, or None.
+        field_of_view_deg: from left to right, where there is no such file.
+        size: width, height, px, where there is no such file.
+        latency: s from exposure to arrival, where there is no such file.
+        quarter_turns: of the camera about its axis.
+        tilt: publish the board's tilt as NS/board_states, where no potentiometers measure it.
+        marble: file of `calibrate_camera marble`, of a painted marble; None for steel.
+        ocam: file of OCamCalib, in place of `intrinsics`; its pictures are made straight, `size` and
+            `field_of_view_deg` say how large.
+    """
+
+    source: Name
+    intrinsics: str | None = None
+    field_of_view_deg: Annotated[Number, Field(gt=0, lt=180)] = 70.0
+    size: tuple[Annotated[Whole, Field(gt=0)], Annotated[Whole, Field(gt=0)]] = (640, 360)
+    latency: Number = 0.0
+    quarter_turns: Whole = 0
+    tilt: bool = False
+    marble: str | None = None
+    ocam: str | None = None
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> "CameraSettings":
+        if self.ocam is not None and self.intrinsics is not None:
+            raise ValueError("ocam and intrinsics: expected one of them")
+        return self
+
+
+class HardwareFile(Section):
+    """config/hw/*.yaml as it stands."""
+
+    servo_port: PortSection
+    sensor_port: PortSection | None = None
+    motors: Annotated[Mapping[str, MotorSection], Field(min_length=1)]
+    potentiometers: Mapping[str, PotentiometerSection] = {}
+    limits: Mapping[str, LimitsSection] = {}
+    compensation: Mapping[str, CompensationSection] = {}
+    torque_share: Annotated[Number, Field(gt=0, le=1)] | None = None
+    camera: CameraSettings | None = None
+    layout: str = "medium"
+
+    @field_validator("motors")
+    @classmethod
+    def _different_ids(cls, motors: Mapping[str, MotorSection]) -> Mapping[str, MotorSection]:
+        ids = [motor.id for motor in motors.values()]
+        if len(set(ids)) < len(ids):
+            raise ValueError(f"every servo needs an id of its own, got {sorted(ids)}")
+        return motors
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "HardwareFile":
+        complaints = [
+            f"{part}: '{name}' is no motor of this file; its motors: {', '.join(self.motors)}"
+            for part in ("limits", "compensation")
+            for name in getattr(self, part)
+            if name not in self.motors
+        ]
+        if self.sensor_port is not None and len(self.potentiometers) != 2:
+            complaints.append(
+                f"potentiometers: the sensor line has two, got {len(self.potentiometers)}: {list(self.potentiometers)}"
+            )
+        if len({motor.current_law is None for motor in self.motors.values()}) > 1:
+            complaints.append("motors: on one bus all have a current_law, or none")
+        if complaints:
+            raise ValueError("; ".join(complaints))
+        return self
 
 
 @dataclass(frozen=True)
 class HardwareConfig:
-    """What is connected where; see config/hw/*.yaml."""
+    """What is connected where, in SI units; see config/hw/*.yaml.
+
+    Attributes:
+        torque_share: largest torque over the maximum, (0, 1]; None leaves it.
+        holes: (x, y) m of the layout's holes, by number from 1.
+    """
 
     servo_port: str
     baud: int
@@ -57,68 +235,27 @@ class HardwareConfig:
 
 
 def load_hardware(name: str | Path) -> HardwareConfig:
-    """The configuration of a rig. Raises InputError with all complaints."""
-    content = config.load("hw", name)
-    complaints = [unknown_name(f"key in {name}", key, KEYS) for key in content if key not in KEYS]
-    motors: list[Motor] = []
-    compensations: dict[str, Compensation] = {}
-    for build in (
-        lambda: motors.extend(motors_from(content.get("motors") or {})),
-        lambda: compensations.update(
-            {k: compensation_from(k, v) for k, v in (content.get("compensation") or {}).items()}
-        ),
-    ):
-        try:
-            build()
-        except InputError as error:
-            complaints += error.complaints
-    limits, pots = {}, {}
+    """The configuration of a rig. Raises InputError with all complaints, each with its place in the file."""
+    path = config.find("hw", name)
+    given = config.read(path).checked(HardwareFile)
+    motors = tuple(section.motor(key) for key, section in given.motors.items())
+    geometry = load_geometry()
     try:
-        for motor in motors:
-            entry = (content.get("limits") or {}).get(motor.name, {})
-            low, high = (motor.model.registers[r] for r in ("min_voltage", "max_voltage"))
-            limits[motor.name] = Limits(
-                angle=radians(float(entry.get("angle_deg", 6.0))),
-                speed=radians(float(entry.get("speed_deg_s", 400.0))),
-                temperature=float(entry.get("temperature_c", 70.0)),
-                voltage=(
-                    float(entry.get("min_voltage", low.to_si(low.initial))),
-                    float(entry.get("max_voltage", high.to_si(high.initial))),
-                ),
-            )
-        for joint, entry in (content.get("potentiometers") or {}).items():
-            pots[joint] = Potentiometer(float(entry["zero"]), float(entry["rad_per_count"]), int(entry.get("sign", 1)))
-        servo_port, sensor_port = dict(content["servo_port"]), content.get("sensor_port")
-        if complaints:
-            raise InputError(complaints)
-        if len(pots) != 2 and sensor_port:
-            raise InputError(f"{name}: the sensor line has two potentiometers, got {len(pots)}: {sorted(pots)}.")
-        return HardwareConfig(
-            servo_port=device(str(servo_port["path"])),
-            baud=int(servo_port["baud"]),
-            sensor_port=device(str(sensor_port["path"])) if sensor_port else None,
-            sensor_baud=int(sensor_port["baud"]) if sensor_port else 0,
-            motors=tuple(motors),
-            potentiometers=pots,
-            limits=limits,
-            compensation=compensations,
-            torque_share=float(content["torque_share"]) if content.get("torque_share") is not None else None,
-            camera=camera_settings(content.get("camera") or {}),
-            holes=_holes(str(content.get("layout", "medium"))),
-        )
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        complaints.append(f"{name}: {type(error).__name__}: {error}. Compare with config/hw/paper.yaml.")
-        raise InputError(complaints) from error
-
-
-def _holes(layout: str) -> tuple[tuple[float, float], ...]:
-    """Centres of the holes, m, in the order of their numbers from 1; none where the geometry is not at hand."""
-    path = config.find_geometry()
-    if path is None:
-        return ()
-    layouts = yaml.safe_load(path.read_text(encoding="utf-8"))["layouts"]
-    if layout not in layouts:
-        raise InputError(unknown_name("layout", layout, layouts))
-    return tuple((float(x), float(y)) for x, y in layouts[layout]["holes"])
+        holes = geometry.layout(given.layout).holes if geometry is not None else ()
+    except InputError as error:
+        raise InputError(f"{path}, layout: {error}") from error
+    return HardwareConfig(
+        servo_port=device(given.servo_port.path),
+        baud=given.servo_port.baud,
+        sensor_port=device(given.sensor_port.path) if given.sensor_port else None,
+        sensor_baud=given.sensor_port.baud if given.sensor_port else 0,
+        motors=motors,
+        potentiometers={
+            key: Potentiometer(pot.zero, pot.rad_per_count, pot.sign) for key, pot in given.potentiometers.items()
+        },
+        limits={motor.name: given.limits.get(motor.name, LimitsSection()).limits(motor) for motor in motors},
+        compensation={key: section.compensation() for key, section in given.compensation.items()},
+        torque_share=given.torque_share,
+        camera=given.camera,
+        holes=holes,
+    )

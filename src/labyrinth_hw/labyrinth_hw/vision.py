@@ -5,39 +5,19 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from labyrinth_hw.errors import InputError, unknown_name
-from labyrinth_hw.links import camera_source
+from labyrinth_hw.devices import camera_source
+from labyrinth_hw.errors import InputError
 from labyrinth_hw.priority import ordinary_priority
+from labyrinth_hw.settings import CameraSettings
 
-KEYS = {"source", "intrinsics", "field_of_view_deg", "size", "latency", "quarter_turns"}
-
-
-@dataclass(frozen=True)
-class CameraSettings:
-    """Of `camera:` in config/hw/*.yaml.
-
-    Attributes:
-        source: device number or path, file, stream address, or "testbed".
-        intrinsics: file of calibrate_camera, or None.
-        field_of_view_deg: from left to right, where there is no such file.
-        size: width, height, px, where there is no such file.
-        latency: s from exposure to arrival, where there is no such file.
-        quarter_turns: of the camera about its axis.
-    """
-
-    source: str
-    intrinsics: str | None = None
-    field_of_view_deg: float = 70.0
-    size: tuple[int, int] = (640, 360)
-    latency: float = 0.0
-    quarter_turns: int = 0
+if TYPE_CHECKING:
+    from labyrinth_hw.camera import Frame, Intrinsics
 
 
 @dataclass(frozen=True)
@@ -48,8 +28,9 @@ class Sight:
         stamp: s of `time.monotonic()`, middle of the exposure.
         board: whether the landmarks were found.
         visible, x, y: the ball, m in the board frame.
+        tilt: of the board about x and y, rad; None where it was not found.
         frames, losses: pictures so far, and how often the camera was gone.
-        picture: (height, width, bytes) BGR with what was found drawn in, only while asked for.
+        picture, raw: (height, width, bytes) BGR, with what was found drawn in and as it came, only while asked for.
     """
 
     stamp: float
@@ -60,21 +41,21 @@ class Sight:
     frames: int
     losses: int
     picture: tuple[int, int, bytes] | None = None
+    raw: tuple[int, int, bytes] | None = None
+    tilt: tuple[float, float] | None = None
 
 
-def camera_settings(entry: Mapping[str, Any]) -> CameraSettings | None:
-    """From a configuration; None where it names no camera. Raises InputError."""
-    if not entry:
-        return None
-    complaints = [unknown_name("camera key", key, KEYS) for key in entry if key not in KEYS]
-    if "source" not in entry:
-        complaints.append("camera: source is missing: a device number or path, a file, a stream address, or testbed.")
-    if complaints:
-        raise InputError(complaints)
-    values = {**entry, "source": str(entry["source"])}
-    if "size" in values:
-        values["size"] = (int(values["size"][0]), int(values["size"][1]))
-    return CameraSettings(**values)
+def lens_of(settings: CameraSettings) -> "Intrinsics":
+    """The calibrated lens, or a plain one of the stated field of view."""
+    from labyrinth_hw.camera import Intrinsics  # OpenCV takes a while, which who has no camera does without
+    from labyrinth_hw.ocam import OCamLens
+
+    if settings.intrinsics is not None:
+        return Intrinsics.load(settings.intrinsics)
+    if settings.ocam is not None:
+        return OCamLens.load(settings.ocam).pinhole(*settings.size, settings.field_of_view_deg, settings.latency)
+    lens = Intrinsics.from_field_of_view(*settings.size, settings.field_of_view_deg)
+    return replace(lens, latency=settings.latency)
 
 
 class Vision:
@@ -87,10 +68,18 @@ class Vision:
     def __init__(self, settings: CameraSettings) -> None:
         if settings.intrinsics is not None and not Path(settings.intrinsics).is_file():
             raise InputError(f"Camera file {settings.intrinsics} does not exist. Make it with calibrate_camera.")
+        if settings.ocam is not None:
+            from labyrinth_hw.ocam import OCamLens
+
+            OCamLens.load(settings.ocam)
+        if settings.marble is not None and not Path(settings.marble).is_file():
+            raise InputError(f"Marble file {settings.marble} does not exist. Make it with calibrate_camera marble.")
         context = multiprocessing.get_context("spawn")
         self._sights, other = context.Pipe(duplex=False)
-        self.pictures = context.Event()
-        self._process = context.Process(target=_watch, args=(settings, other, self.pictures, os.getpid()), daemon=True)
+        self.pictures, self.raw = context.Event(), context.Event()
+        self._process = context.Process(
+            target=_watch, args=(settings, other, self.pictures, self.raw, os.getpid()), daemon=True
+        )
         with ordinary_priority():
             self._process.start()
         other.close()
@@ -110,50 +99,62 @@ class Vision:
         self._process.join(timeout=3.0)
 
 
-def _watch(settings: CameraSettings, sights: Connection, pictures: Event, parent: int) -> None:
+def _watch(settings: CameraSettings, sights: Connection, pictures: Event, raw: Event, parent: int) -> None:
     from labyrinth_hw.annotate import annotated
     from labyrinth_hw.ball_tracker import BallTracker
-    from labyrinth_hw.camera import Camera, Intrinsics
-    from labyrinth_hw.dots import DotPlan
-    from labyrinth_hw.landmarks import LandmarkTracker
+    from labyrinth_hw.camera import Camera
+    from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
+    from labyrinth_hw.marble import Marble
+    from labyrinth_hw.ocam import OCamLens
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if settings.intrinsics is not None:
-        lens = Intrinsics.load(settings.intrinsics)
-        latency = lens.latency
-    else:
-        lens = Intrinsics.from_field_of_view(*settings.size, settings.field_of_view_deg)
-        latency = settings.latency
+    lens = lens_of(settings)
+    wide = OCamLens.load(settings.ocam) if settings.ocam is not None else None
     landmarks = LandmarkTracker(DotPlan.from_sizes(), lens, quarter_turns=settings.quarter_turns)
-    ball = BallTracker()
+    ball = BallTracker(marble=Marble.load(settings.marble) if settings.marble is not None else None)
     while os.getppid() == parent:
         source = camera_source(settings.source)
         if source is None:
             time.sleep(0.5)
             continue
-        size = (lens.width, lens.height) if source.isdigit() else None
-        with Camera(source, latency=latency, clock=time.monotonic, size=size) as camera:
+        size = (wide or lens).width, (wide or lens).height
+        with Camera(
+            source, latency=lens.latency, clock=time.monotonic, size=size if source.isdigit() else None
+        ) as camera:
             number = 0
             while os.getppid() == parent and camera_source(settings.source) == source:
                 shot = camera.newest(number, timeout=0.5)
                 if shot is None:
                     continue
                 number = shot.number
+                if wide is not None:
+                    shot = replace(shot, image=wide.straight(shot.image, lens))
                 if shot.image.shape[:2] != (lens.height, lens.width):
                     raise InputError(
                         f"The camera's pictures are {shot.image.shape[1]} x {shot.image.shape[0]}, not {lens}."
                     )
                 pose = landmarks.update(shot.image)
                 seen = ball.update(shot.image, pose, shot.stamp)
-                picture = None
-                if pictures.is_set():
-                    drawn = annotated(shot.image, pose, seen)
-                    picture = (drawn.shape[0], drawn.shape[1], drawn.tobytes())
+                picture = _bytes(annotated(shot.image, pose, seen)) if pictures.is_set() else None
+                plain = _bytes(shot.image) if raw.is_set() else None
                 state = camera.state
                 sight = Sight(
-                    shot.stamp, pose is not None, seen.visible, seen.x, seen.y, state.frames, state.losses, picture
+                    shot.stamp,
+                    pose is not None,
+                    seen.visible,
+                    seen.x,
+                    seen.y,
+                    state.frames,
+                    state.losses,
+                    picture,
+                    plain,
+                    None if pose is None else (float(pose.tilt[0]), float(pose.tilt[1])),
                 )
                 try:
                     sights.send(sight)
                 except OSError:
                     return
+
+
+def _bytes(image: "Frame") -> tuple[int, int, bytes]:
+    return image.shape[0], image.shape[1], image.tobytes()

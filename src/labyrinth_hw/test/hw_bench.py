@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 
@@ -43,7 +43,7 @@ class Bench:
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import JointState
-        from std_srvs.srv import Trigger
+        from std_srvs.srv import SetBool, Trigger
 
         from labyrinth_msgs.msg import BallEvent, BallState
 
@@ -65,21 +65,33 @@ class Bench:
         self._peer.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 100)
         self._peer.create_subscription(BallState, "/real/ball", self.balls.append, 1000)
         self._peer.create_subscription(BallEvent, "/real/ball_event", self.events.append, 100)
-        self._commands = self._peer.create_publisher(JointState, "/real/joint_commands", 10)
+        self._commands: Any = None
         self._reset = self._peer.create_client(Trigger, "/real/reset")
+        self._arm = self._peer.create_client(SetBool, "/real/arm")
         self.supply = self._peer.create_client(Trigger, "/real/supply_ball")
         self._goal: tuple[float, float] | None = None
         self._ahead = 0.0
         self._peer.create_timer(0.02, self._send)
 
     def start_testbed(self, *options: str) -> None:
-        command = [sys.executable, "-m", "labyrinth_hw.nodes.testbed", "--config", "healthy", "--seed", "1", *options]
+        command = [
+            sys.executable,
+            "-m",
+            "labyrinth_hw.testbed.command_line",
+            "--config",
+            "healthy",
+            "--seed",
+            "1",
+            *options,
+        ]
         self.testbed = self._start(command, subprocess.PIPE)
         assert self.testbed.stdout is not None
         while "Ctrl-C ends it" not in (line := self.testbed.stdout.readline()):
             assert line, "the testbed did not start"
 
     def start_node(self, **parameters: object) -> None:
+        """The hardware node, armed unless told otherwise."""
+        parameters = {"arm": "true", **parameters}
         options = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
         command = [sys.executable, "-m", "labyrinth_hw.nodes.hw_node", "--ros-args", "-p", "config:=healthy", *options]
         # A file, for nobody empties a pipe while the node runs.
@@ -106,7 +118,24 @@ class Bench:
 
     def command(self, goal: tuple[float, float] | None, ahead: float = 0.0) -> None:
         """Keep sending this goal, rad, with stamps `ahead` s of the clock; None stops sending."""
+        if self._commands is None:
+            self._commands = self.publisher()
         self._goal, self._ahead = goal, ahead
+
+    def publisher(self) -> Any:
+        """Another publisher of commands."""
+        from sensor_msgs.msg import JointState
+
+        return self._peer.create_publisher(JointState, "/real/joint_commands", 10)
+
+    def send_once(self, publisher: Any, ahead: float = 0.0, **goals: float) -> None:
+        """One message, stamped `ahead` s of the clock."""
+        from rclpy.duration import Duration
+        from sensor_msgs.msg import JointState
+
+        message = JointState(name=list(goals), position=list(goals.values()))
+        message.header.stamp = (self._peer.get_clock().now() + Duration(seconds=ahead)).to_msg()
+        publisher.publish(message)
 
     def start_commander(self, goal: tuple[float, float]) -> "subprocess.Popen[str]":
         """A process of its own that keeps sending this goal, rad."""
@@ -114,14 +143,8 @@ class Bench:
         return self.commander
 
     def _send(self) -> None:
-        from rclpy.duration import Duration
-        from sensor_msgs.msg import JointState
-
         if self._goal is not None:
-            message = JointState(name=["motor_x", "motor_y"], position=list(self._goal))
-            now = self._peer.get_clock().now() + Duration(seconds=self._ahead)
-            message.header.stamp = now.to_msg()
-            self._commands.publish(message)
+            self.send_once(self._commands, self._ahead, motor_x=self._goal[0], motor_y=self._goal[1])
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
         """Listen until a condition holds."""
@@ -152,6 +175,30 @@ class Bench:
 
         future = self._reset.call_async(Trigger.Request())
         self.until(future.done, "the reset service")
+
+    def arm(self, on: bool = True) -> Any:
+        """Asks for it; the answer."""
+        from std_srvs.srv import SetBool
+
+        return self.call(self._arm, SetBool.Request(data=on))
+
+    def call(self, client: Any, request: Any) -> Any:
+        """A service's answer."""
+        self.until(client.service_is_ready, f"the service {client.srv_name}")
+        future = client.call_async(request)
+        self.until(future.done, f"an answer of {client.srv_name}")
+        return future.result()
+
+    def has_node(self, name: str) -> bool:
+        return name in self._peer.get_node_names()
+
+    @property
+    def publisher_in_use(self) -> Any:
+        """What `command` sends by."""
+        return self._commands
+
+    def client(self, kind: Any, name: str) -> Any:
+        return self._peer.create_client(kind, name)
 
     def close(self) -> None:
         for process in (self.commander, self.node, self.testbed):

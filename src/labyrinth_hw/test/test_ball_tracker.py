@@ -8,11 +8,10 @@ import pytest
 
 from labyrinth_hw.annotate import BLUE, GREEN, RED, WHITE, YELLOW, annotated
 from labyrinth_hw.ball_tracker import BallTracker
-from labyrinth_hw.dots import DotPlan
-from labyrinth_hw.landmarks import LandmarkTracker
-from labyrinth_hw.testbed.video import Renderer
-from labyrinth_hw.testbed.video_scene import Lens, Lighting, Scene
-from labyrinth_hw.testbed.video_views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
+from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
+from labyrinth_hw.testbed.renderer import Renderer
+from labyrinth_hw.testbed.scene import Lens, Lighting, Scene
+from labyrinth_hw.testbed.views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
 
 VIEWS = [CLOSE, FAR, CROOKED]
 BOARDS = ["easy", "medium", "hard"]

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labyrinth_hw.compensation import Compensation, Compensator, compensation_from, measured_map
+from labyrinth_hw.compensation import Compensation, Compensator, measured_map
+from labyrinth_hw.config import check
 from labyrinth_hw.control_tables import servo_model
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.hardware import Hardware
-from labyrinth_hw.nodes.calibrate_motors import as_yaml, calibrate, lead, rest
+from labyrinth_hw.nodes.calibrate_motors import calibrate, lead, rest
 from labyrinth_hw.sensors import Slope
-from labyrinth_hw.settings import load_hardware
-from labyrinth_hw.testbed.live import LiveTestbed
-from labyrinth_hw.testbed.parameters import HEALTHY
-from labyrinth_hw.testbed.rig import LiveRig
+from labyrinth_hw.settings import CompensationSection, load_hardware
+from labyrinth_hw.testbed.live import LiveRig, LiveTestbed
+from labyrinth_hw.testbed.quantities import HEALTHY
 
 FLAWED = {"error_amplitude": {"x": 0.012}, "error_count": 60.0, "play": {"y": 0.012}, "board_friction": 0.02}
 
@@ -52,6 +52,7 @@ def rests(hardware: Hardware, goals: list[float], axis: int) -> float:
 def test_calibration_finds_the_flaws_and_compensation_removes_them(flawed: None) -> None:
     hardware = Hardware(load_hardware("healthy"))
     hardware.connect()
+    hardware.arm()
     try:
         found = calibrate(hardware, 3.0, 1.0, 0.3, 5)
     finally:
@@ -64,6 +65,7 @@ def test_calibration_finds_the_flaws_and_compensation_removes_them(flawed: None)
     settings = replace(load_hardware("healthy"), compensation=found)
     hardware = Hardware(settings, position_error=True, slack=True)
     hardware.connect()
+    hardware.arm()
     try:
         worst = found["motor_x"].angles[int(np.abs(found["motor_x"].errors).argmax())]
         assert abs(rests(hardware, [worst], 0) - worst) < 0.4 * 0.012
@@ -102,14 +104,14 @@ def test_a_map_survives_its_file() -> None:
     entry = Compensation(
         tuple(np.radians([-1.0, 0.0, 1.0])), tuple(np.radians([0.1, 0.0, -0.2])), float(np.radians(0.3))
     )
-    again = compensation_from("motor_x", as_yaml(entry))
+    again = CompensationSection.of(entry).compensation()
     assert again.errors == pytest.approx(entry.errors) and again.slack == pytest.approx(entry.slack)
 
 
 @pytest.mark.parametrize(
     ("entry", "complaint"),
     [
-        ({"angles": [1]}, "unknown keys"),
+        ({"angles": [1]}, "Unknown key 'angles'"),
         ({"angles_deg": [0, 1], "errors_deg": [0]}, "as many errors"),
         ({"angles_deg": [1, 0], "errors_deg": [0, 0]}, "must increase"),
         ({"slack_deg": -1}, "slack >= 0"),
@@ -117,7 +119,7 @@ def test_a_map_survives_its_file() -> None:
 )
 def test_bad_maps_are_refused(entry: dict, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        compensation_from("motor_x", entry)
+        check(CompensationSection, entry, "rig.yaml")
 
 
 def test_the_board_s_speed_is_that_of_now_and_needs_a_full_window() -> None:

@@ -48,14 +48,18 @@ def test_an_overload_switches_torque_off_until_reset(running: Bench) -> None:
     assert running.motor()[0] > -0.01, "nothing may move while stopped"
     running.tell("heal x")
     running.reset()
+    running.until(lambda: running.status().get("state") == "disarmed", "the reset")
+    running.more_states(50)
+    assert running.motor()[0] > -0.01, "nothing may move before it is armed again"
+    assert running.arm().success
     running.until(lambda: running.reaches((-0.03, 0.0)), "motion after the reset")
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_torque_goes_off_when_the_node_ends(bench: Bench, how: int) -> None:
+    from labyrinth_hw.bus import ServoBus
     from labyrinth_hw.control_tables import servo_model
     from labyrinth_hw.motors import Motor
-    from labyrinth_hw.servo_bus import ServoBus
 
     bench.start_testbed()
     bench.start_node()

@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from labyrinth_hw.dots import DotPlan
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.landmarks import LandmarkTracker
-from labyrinth_hw.testbed.video import Renderer
-from labyrinth_hw.testbed.video_scene import Lens, Lighting, Scene
-from labyrinth_hw.testbed.video_views import CLOSE, CROOKED, FAR, intrinsics, layout
+from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
+from labyrinth_hw.testbed.renderer import Renderer
+from labyrinth_hw.testbed.scene import Lens, Lighting, Scene
+from labyrinth_hw.testbed.views import CLOSE, CROOKED, FAR, intrinsics, layout
 
 PLAN = DotPlan.from_sizes()
 

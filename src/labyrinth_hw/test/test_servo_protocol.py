@@ -2,6 +2,7 @@
 """The real Dynamixel SDK and our bus, talking to emulated servos over a real pseudo-terminal."""
 
 import itertools
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -10,17 +11,15 @@ from pathlib import Path
 import pytest
 from dynamixel_sdk import COMM_SUCCESS, PacketHandler
 
-from labyrinth_hw.bus_time import BLOCKS, bytes_per_cycle, cycle_time
-from labyrinth_hw.control_tables import MODELS, servo_model
+from labyrinth_hw.bus import BLOCKS, ServoBus, block, bytes_per_cycle, cycle_time
+from labyrinth_hw.control_tables import MODELS, Register, servo_model
 from labyrinth_hw.errors import BusError, InputError, PortError
-from labyrinth_hw.motors import Motor
-from labyrinth_hw.registers import Register
-from labyrinth_hw.serial_line import Port
-from labyrinth_hw.servo_bus import ServoBus
-from labyrinth_hw.testbed.live import LiveTestbed
-from labyrinth_hw.testbed.packets import READ, Stream, crc16, status
-from labyrinth_hw.testbed.parameters import HEALTHY
-from labyrinth_hw.testbed.rig import LiveRig
+from labyrinth_hw.motors import Motor, motor_state
+from labyrinth_hw.serial_port import Port
+from labyrinth_hw.settings import MotorSection
+from labyrinth_hw.testbed.live import LiveRig, LiveTestbed
+from labyrinth_hw.testbed.quantities import HEALTHY
+from labyrinth_hw.testbed.servo_emulator import READ, InstructionStream, crc16, status_packet
 
 BAUD = 1_000_000
 
@@ -70,8 +69,54 @@ def test_every_model_connects_moves_and_tells_its_state(serve, model: str) -> No
     with servos.torque_disabled():
         assert servos.read("motor_x", "torque_enable") == 0
     assert servos.read("motor_x", "torque_enable") == 1
-    servos.set_mode("motor_x", torque_share=0.5)
+    servos.prepare("motor_x")
     servos.close()
+
+
+def turned(model: str) -> Motor:
+    """Mounted the other way round."""
+    return MotorSection(id=1, model=model, sign=-1, zero_deg=2.0).motor("motor_x")
+
+
+@pytest.mark.parametrize("model", ["MX-64", "XL330-M288"])
+@pytest.mark.realtime
+def test_a_servo_mounted_the_other_way_round_goes_where_the_joint_shall(serve, model: str) -> None:
+    _, path = serve(model)
+    tick = servo_model(model).tick
+    servos = bus(path, model, motors=[turned(model)])
+    servos.connect()
+    servos.set_torque(True)
+    servos.write_goals({"motor_x": 0.05})
+    assert servos.read("motor_x", "goal_position") == pytest.approx(math.radians(2.0) - 0.05, abs=tick)
+    deadline = time.monotonic() + 90.0
+    joint, before = servos.read_states()["motor_x"].position, math.inf
+    while time.monotonic() < deadline and (abs(joint - 0.05) > 0.008 or abs(joint - before) > tick):
+        time.sleep(0.05)  # it may pass its goal before it rests
+        joint, before = servos.read_states()["motor_x"].position, joint
+    assert joint == pytest.approx(0.05, abs=0.008)
+    assert servos.read("motor_x", "present_position") == pytest.approx(math.radians(2.0) - 0.05, abs=0.01)
+    servos.close()
+
+
+@pytest.mark.parametrize("model", sorted(MODELS))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_the_bytes_of_an_answer_mean_at_the_joint(model: str, sign: int) -> None:
+    """The servo is at 0.3 rad, 0.1 rad from its joint's zero, turns at 1 rad/s and reports 0.2 (A or share)."""
+    servo = servo_model(model)
+    motor = MotorSection(id=1, model=model, sign=sign, zero_deg=math.degrees(0.1)).motor("motor_x")
+    start, length = block(servo, BLOCKS[1])
+    data = bytearray(length)
+    units = {}
+    for name, value in {"present_position": 0.3, "present_speed": 1.0, servo.effort_register: 0.2}.items():
+        entry = servo.register(name)
+        raw = entry.to_raw(value).to_bytes(entry.size, "little")
+        data[entry.address - start : entry.address - start + entry.size] = raw
+        units[name] = entry.unit
+    state = motor_state(motor, bytes(data), 0, 0.0)
+    assert state.position == pytest.approx(sign * 0.2, abs=units["present_position"])
+    assert state.speed == pytest.approx(sign * 1.0, abs=units["present_speed"])
+    effort = units[servo.effort_register] * servo.effort_per_unit
+    assert state.effort == pytest.approx(sign * 0.2 * servo.effort_per_unit, abs=effort)
 
 
 @pytest.mark.parametrize("model", ["MX-64", "MX-64-2"])
@@ -180,6 +225,57 @@ def test_an_alarm_switches_torque_off_and_is_told_with_its_bits(serve, model: st
     assert "overload" in servo_model(model).shutdown[0x20]
 
 
+def mode_of(testbed: LiveTestbed) -> int:
+    return testbed.rig.servos[0].raw("operating_mode")
+
+
+@pytest.mark.parametrize("model", ["XL330-M077", "MX-64-2", "XL430-W250"])
+@pytest.mark.realtime
+def test_no_operating_mode_is_written_that_was_not_stated(serve, model: str) -> None:
+    testbed, path = serve(model)
+    told = [Motor("motor_x", 1, servo_model(model), operating_mode=4), Motor("motor_y", 2, servo_model(model))]
+    servos = bus(path, model)
+    servos.connect()
+    for mode in (3, 4):
+        testbed.rig.servos[0].set("operating_mode", mode)
+        servos.prepare("motor_x")
+        assert mode_of(testbed) == mode
+    testbed.rig.servos[0].set("operating_mode", 0)
+    with pytest.raises(BusError, match="is in operating mode 0; expected 3"):
+        servos.prepare("motor_x")
+    assert mode_of(testbed) == 0
+    servos.close()
+    servos = bus(path, model, motors=told)
+    servos.connect()
+    servos.prepare("motor_x")
+    assert mode_of(testbed) == 4
+    servos.close()
+
+
+@pytest.mark.realtime
+def test_the_torque_limit_lies_in_registers_that_do_not_wear(serve) -> None:
+    testbed, path = serve("XL330-M077")
+    servos = bus(path, "XL330-M077")
+    servos.connect()
+    with pytest.raises(BusError, match=r"expected 5 \(current_based_position\) for torque_share"):
+        servos.prepare("motor_x", 0.5)
+    testbed.rig.servos[0].set("operating_mode", 5)
+    servos.prepare("motor_x", 0.5)
+    assert servos.read("motor_x", "goal_current") == pytest.approx(0.5 * 0.215 / 0.146, abs=1e-3)
+    servos.close()
+    testbed, path = serve("XL430-W250")
+    before = bytes(testbed.rig.servos[0].memory[:64])
+    servos = bus(path, "XL430-W250")
+    servos.connect()
+    after_connecting = bytes(testbed.rig.servos[0].memory[:64])
+    servos.prepare("motor_x", 0.5)
+    assert servos.read("motor_x", "goal_pwm") == pytest.approx(0.5, abs=2e-3)
+    assert bytes(testbed.rig.servos[0].memory[:64]) == after_connecting
+    changed = [at for at in range(64) if before[at] != after_connecting[at]]
+    assert changed in ([], [servo_model("XL430-W250").register("return_delay").address])
+    servos.close()
+
+
 def test_protocols_do_not_mix_on_one_bus() -> None:
     with pytest.raises(InputError, match="same protocol"):
         ServoBus("nowhere", BAUD, [Motor("a", 1, servo_model("MX-64")), Motor("b", 2, servo_model("XL330-M288"))])
@@ -227,11 +323,11 @@ def test_a_damaged_packet_does_not_swallow_the_next_one() -> None:
     whole = b"\xff\xff\x01\x04\x02\x24\x02" + bytes((~(1 + 4 + 2 + 0x24 + 2) & 0xFF,))
     broken = bytearray(whole)
     broken[5] ^= 0x10
-    packets = list(Stream(1).feed(bytes(broken) + whole))
+    packets = list(InstructionStream(1).feed(bytes(broken) + whole))
     assert [p.intact for p in packets] == [False, True]
     assert packets[1].code == READ
 
 
 def test_status_packets_stuff_the_header_pattern() -> None:
-    packet = status(2, 1, 0, b"\xff\xff\xfd\x00")
+    packet = status_packet(2, 1, 0, b"\xff\xff\xfd\x00")
     assert b"\xff\xff\xfd\xfd\x00" in packet[7:]

@@ -10,9 +10,9 @@ import pytest
 
 from labyrinth_hw.camera import Camera
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.testbed.video import Renderer
-from labyrinth_hw.testbed.video_scene import Layout, Lens, Lighting, Scene
-from labyrinth_hw.testbed.video_stream import VideoFile, VideoStream
+from labyrinth_hw.testbed.renderer import Renderer
+from labyrinth_hw.testbed.scene import Layout, Lens, Lighting, Scene, load_layout
+from labyrinth_hw.testbed.video import VideoStream
 
 PLAIN = Layout(board=(0.276, 0.231), walls=(), holes=(), path=())
 CALM = Lighting(noise=0.0, blur=0.0, shadow=0.0, warmth=0.0)
@@ -83,30 +83,22 @@ def test_a_wall_hides_a_ball_behind_it() -> None:
     assert shown[0] < 0.2 * shown[1]
 
 
-def test_an_unknown_layout_is_told_with_the_valid_names() -> None:
+def test_an_unknown_layout_is_refused_with_the_valid_names() -> None:
     with pytest.raises(InputError, match="easy"):
-        Layout.from_mapping({"layouts": {"easy": {}}}, "esy")
+        load_layout("esy")
 
 
-def test_a_video_file_reads_back_and_is_never_overwritten(tmp_path: Path) -> None:
+def test_a_camera_reads_a_video_file_at_the_file_s_rate(tmp_path: Path) -> None:
     path = tmp_path / "video.avi"
-    renderer = Renderer(PLAIN)
-    frame = renderer.render(Scene())
-    with VideoFile(path) as file:
-        for _ in range(5):
-            file.push(frame)
-        with pytest.raises(InputError, match="360, 640"):
-            file.push(frame[:100])
-    capture = cv2.VideoCapture(str(path))
-    frames = []
-    while (read := capture.read())[0]:
-        frames.append(read[1])
-    assert len(frames) == 5
-    assert np.abs(frames[0].astype(int) - frame).mean() < 3
-    with pytest.raises(InputError, match="exists"):
-        VideoFile(path)
+    frame = Renderer(PLAIN).render(Scene())
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 60.0, (640, 360))
+    for _ in range(5):
+        video.write(frame)
+    video.release()
     with Camera(str(path)) as camera:
-        assert camera.newest(4, timeout=5.0) is not None
+        shot = camera.newest(4, timeout=5.0)
+    assert shot is not None
+    assert np.abs(shot.image.astype(int) - frame).mean() < 3
 
 
 @pytest.mark.realtime
@@ -124,7 +116,7 @@ def test_a_camera_survives_its_stream_vanishing_and_says_so() -> None:
     feeder = threading.Thread(target=feed)
     feeder.start()
     try:
-        with Camera(streams[0].url, latency=0.02, retry=0.1, told=told.append) as camera:
+        with Camera(streams[0].url, latency=0.02, retry=0.1, on_change=told.append) as camera:
             before = time.time()
             shot = camera.newest(timeout=90.0)
             assert shot is not None

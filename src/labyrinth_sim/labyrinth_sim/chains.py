@@ -8,7 +8,9 @@ import numpy as np
 
 from labyrinth_sim.build import Placed, Plan, local_values
 from labyrinth_sim.effect import Filter, Values
+from labyrinth_sim.filters import Map
 from labyrinth_sim.model import Model
+from labyrinth_sim.quantities import EFFORT
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
@@ -34,14 +36,21 @@ def measure_filters(model: Model, plan: Plan, values: Values, step: float, first
     names = [m.signal for m in model.rig.measured] + (list(BALL_SIGNALS) if plan.with_ball else [])
     chains: list[list[Filter]] = []
     acting = plan.acting(values)
+    # An effort whose unit is open is read in that unit, as it was recorded.
+    scales = {n.split(".")[1]: numbers for n, numbers in values.items() if n.startswith(f"{EFFORT}.")}
     for column, signal in enumerate(names):
         made = [
             placed.effect.measure(local_values(values, placed.prefix), site, step, first[:, column])
             for placed in acting
             if placed.effect.measure and (site := _sees(placed, signal)) is not None
         ]
+        made.insert(0, _over(scales[signal]) if signal in scales else None)
         chains.append([f for f in made if f is not None])
     return chains
+
+
+def _over(scale: Array) -> Map:
+    return Map(lambda torque: torque / scale[:, None])
 
 
 def _sees(placed: Placed, signal: str) -> Site | None:

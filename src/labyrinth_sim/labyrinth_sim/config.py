@@ -2,13 +2,14 @@
 """Finds rigs, models, MJCF files and sequences by name, in a workspace, an installation or a source tree."""
 
 import os
+import site
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from labyrinth_sim.errors import InputError, unknown_name
 
-SUFFIXES = (".yaml", ".yml", ".xml")
+SUFFIXES = (".yaml", ".yml", ".xml", ".urdf")
 VARIABLE = "EPS_TUNNEL_CONFIG"
 
 
@@ -32,7 +33,7 @@ def _candidates(kind: str) -> Iterator[Path]:
     for parent in Path(__file__).resolve().parents:
         if (parent / "src" / "labyrinth_sim" / "package.xml").is_file():
             yield parent / "config" / kind
-    for prefix in (*_split("AMENT_PREFIX_PATH"), Path(sys.prefix)):
+    for prefix in (*_split("AMENT_PREFIX_PATH"), Path(sys.prefix), Path(site.getuserbase())):
         yield from sorted(prefix.glob(f"share/*/config/{kind}"))
 
 
@@ -51,7 +52,7 @@ def names(kind: str) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def find(kind: str, name: str | Path) -> Path:
+def find(kind: str, name: str | Path, beside: Path | None = None) -> Path:
     """The file that a name or a path stands for.
 
     An existing path is taken as it is. A name is looked up in each folder of $EPS_TUNNEL_CONFIG, in the source tree's
@@ -60,20 +61,31 @@ def find(kind: str, name: str | Path) -> Path:
     Args:
         kind: "rigs", "models", "mjcf", "sequences", ...
         name: "labyrinth", "labyrinth.yaml", or a path.
+        beside: the file in which the name stands; a relative path is then relative to that file's folder, whichever
+            folder the program runs in.
 
     Raises:
         InputError: no such file; lists the valid names and the folders searched.
     """
     given = Path(name).expanduser()
-    if given.is_file():
-        return given.resolve()
+    path = beside.parent / given if beside else given
+    if _is_file(path):
+        return path.resolve()
     where = folders(kind)
     for folder in where:
         for candidate in (folder / given, *(folder / f"{given}{suffix}" for suffix in SUFFIXES)):
-            if candidate.is_file():
+            if _is_file(candidate):
                 return candidate
-    searched = ", ".join(str(folder) for folder in where) or f"(no folder named {kind} anywhere)"
+    places = (*([beside.parent] if beside else []), *where)
+    searched = ", ".join(str(folder) for folder in places) or f"(no folder named {kind} anywhere)"
     raise InputError(
         f"{unknown_name(kind.removesuffix('s'), str(name), names(kind))} Searched: {searched}. "
         f"Give the path of a file, or name a folder that holds {kind}/ in ${VARIABLE}."
     )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name longer than the file system takes
+        return False

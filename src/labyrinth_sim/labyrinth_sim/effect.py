@@ -8,23 +8,27 @@ that it needs and leaves the others None.
 import importlib
 import importlib.metadata
 import importlib.util
+import math
 import os
 import pkgutil
+import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.law import Law
+from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.marks import MARKS
+from labyrinth_sim.shown import shown
+from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
 if TYPE_CHECKING:
     import mujoco
-
-    from labyrinth_sim.live import Fields, Live
-    from labyrinth_sim.site import Site
 
 Values = Mapping[str, Array]
 """Parameter name -> (nsim,)."""
@@ -35,10 +39,62 @@ FOLDER_VARIABLE = "EPS_TUNNEL_EFFECTS"
 
 
 @dataclass(frozen=True)
+class Size:
+    """How large an axis is beside the toy servo that bounds are declared for.
+
+    Attributes:
+        slides: m for rad, N for N m.
+        force: the drive's full torque over 10 N m, or its full force over 10 N; 1 for weaker ones.
+        length: a sliding axis's travel, its limits apart, over 6.4 m; 1 for one that turns.
+    """
+
+    slides: bool = False
+    force: float = 1.0
+    length: float = 1.0
+
+    @classmethod
+    def of_axis(cls, slides: bool, limits: tuple[float, float], full: float) -> "Size":
+        """From an axis's kind, its limits, rad or m, and what its drive gives at most at rest, N m or N."""
+        return cls(slides, max(full / 10.0, 1.0), (limits[1] - limits[0]) / 6.4 if slides else 1.0)
+
+
+# Unit of an axis that turns -> powers of force and length that a number in it grows with.
+GROWS = {
+    "rad": (0, 1),
+    "rad/s": (0, 1),
+    "rad/s^2": (0, 1),
+    "1/rad": (0, -1),
+    "s/rad": (0, -1),
+    "N m": (1, 0),
+    "N m/rad": (1, -1),
+    "N m s/rad": (1, -1),
+    "rad/(N m)": (-1, 1),
+    "N m/A": (1, 0),
+    "kg m": (1, 0),
+    "kg m^2": (1, -1),
+    "kg": (1, -1),
+}
+STATED = 1e3  # how many times beyond the bounds of the search a value may be stated that grows with an axis's size
+
+
+def slide_unit(unit: str) -> str:
+    """The unit that a slide joint has where a hinge has `unit`: N for N m, m for rad, kg for kg m^2."""
+    for turning, sliding in (("kg m^2", "kg"), ("N m", "N"), ("rad", "m")):
+        unit = unit.replace(turning, sliding)
+    return unit
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One parameter: bounds of the search, the value at which the effect vanishes, a typical one, why the bounds.
 
-    `off` is None where no value of this parameter alone makes the effect vanish (a period, a characteristic speed).
+    All of it is declared once, for a servo that turns; `sized` gives it for another axis.
+
+    Attributes:
+        off: None where no value of this parameter alone makes the effect vanish (a period, a characteristic speed).
+        fixed: "bounds" for those that are the same on any axis, whatever its unit; "unit" for what belongs to the motor
+            and not to the axis, and so keeps its unit as well.
+        fitted: False for what is stated with an effect and never fitted, as the range that a table covers.
     """
 
     name: str
@@ -48,10 +104,42 @@ class Parameter:
     off: float | None
     typical: float
     why: str
+    fixed: Literal["", "bounds", "unit"] = ""
+    fitted: bool = True
 
     def __post_init__(self) -> None:
         if not self.low <= self.typical <= self.high or not (self.off is None or self.low <= self.off <= self.high):
             raise InputError(f"Parameter {self.name}: typical and off must lie within [{self.low:g}, {self.high:g}].")
+
+    def sized(self, size: Size, stated: float | None = None) -> "Parameter":
+        """The same parameter of an axis of this size, in its unit.
+
+        Args:
+            stated: value that a person gave; bounds that grow with the axis are widened to three times one outside.
+        """
+        force, length = GROWS.get(self.unit, (0, 0))
+        unit = slide_unit(self.unit) if size.slides and self.fixed != "unit" else self.unit
+        grows = not self.fixed and bool(force or (length and size.slides))
+        scale = float(size.force**force * size.length**length) if grows else 1.0
+        low, high = scale * self.low, scale * self.high
+        if grows and stated is not None and not low <= stated <= high and not self.complaint(size, stated):
+            low, high = min(low, stated / 3.0, 3.0 * stated), max(high, 3.0 * stated, stated / 3.0)
+        off = None if self.off is None else scale * self.off
+        return replace(self, unit=unit, low=low, high=high, off=off, typical=scale * self.typical)
+
+    def complaint(self, size: Size, stated: float) -> str:
+        """Why a value cannot be stated for an axis of this size; "" if it can.
+
+        What grows with an axis may lie far beyond the bounds of the search, for nothing says how large a rig is;
+        only its sign and its order are held against it.
+        """
+        here = self.sized(size)
+        low, high = here.low, here.high
+        if not self.fixed and self.unit in GROWS and (GROWS[self.unit][0] or size.slides):
+            low, high = low * (STATED if low < 0.0 else 1.0 / STATED), high * STATED
+        if math.isfinite(stated) and low <= stated <= high:
+            return ""
+        return f"must lie within [{low:g}, {high:g}] {here.unit} ({self.why}), got {stated:g}."
 
 
 class Filter(Protocol):
@@ -62,18 +150,22 @@ class Filter(Protocol):
 
 
 class Controller(Protocol):
-    """What a drive's law does between its samples and at each of them; the rest of it is MuJoCo's actuator."""
+    """What a drive's law adds to its control from what it remembers, as an integral does."""
 
-    def sample(self, error: Array) -> None:
-        """Once a sample, with target - angle (nsim,) rad."""
+    def sample(self, error: Array) -> Array:
+        """(nsim,) added to the actuator's control during the next sample, from target - angle (nsim,) rad now."""
 
-    def __call__(self, target: Array) -> Array:
-        """Actuator control (nsim,) while the drive sees this target (nsim,) rad."""
+    @property
+    def integral(self) -> Array | None:
+        """(nsim,) control for each rad s of the error's sum, at most `law.MOST_SUM`, where that is all; roll-outs do
+        it in their compiled loop then. Else None.
+        """
 
     def restart(self, which: Array) -> None:
         """Forgets the past of the simulations marked in `which` (nsim,) bool, as when the drive is switched off."""
 
 
+@shown
 @dataclass(frozen=True)
 class Effect:
     """One physical effect.
@@ -88,15 +180,19 @@ class Effect:
         confused_with: effects whose data can look the same.
         separated_by: the experiment that tells them apart.
         where: what it acts on: each axis, each measured position, or the ball.
-        needs: "belt", "other_axis"; what the rig must have beyond `where`.
+        needs: "belt", "other_axis", "hinge", "ball"; what the rig must have beyond `where`.
         couples: whether what it does to its axis depends on how the other axes move.
+        contains: rows of own parameter, other effect, its parameter: set like that one's, it does what that one does.
         order: position among effects of the same stage, low first.
+        nameless: a free curve: it says over what variable something is missing and not why. A candidate of no search
+            unless asked for.
         touches: MuJoCo model fields that `step` writes; set back to their base before every step.
         command: makes the filter of a target (rad).
-        error: what the drive sees of its error (rad).
+        error: a law that changes what the drive sees of its error, see `labyrinth_sim.law`.
         spec: changes the structure, whatever the values.
         fields: changes per-simulation fields of the compiled model.
-        step: called before every MuJoCo step.
+        step: called before every MuJoCo step: a compiled law of one simulation, or a plain function of the whole batch,
+            which takes many times as long.
         measure: makes the filter of a signal.
         undo: the true value (nsim,) behind a measured one, where a roll-out must not start from what is seen.
     """
@@ -114,19 +210,26 @@ class Effect:
     where: Where = "axis"
     needs: tuple[str, ...] = ()
     couples: bool = False
+    contains: tuple[tuple[str, str, str], ...] = ()
     order: int = 0
+    nameless: bool = False
     touches: tuple[str, ...] = ()
     command: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
-    error: "Callable[[Values, Array], Array] | None" = None
+    error: "Law | None" = None
     spec: "Callable[[mujoco.MjSpec, Site], None] | None" = None
     fields: "Callable[[Fields, Site, Values], None] | None" = None
-    step: "Callable[[Live, Site, Values], None] | None" = None
+    step: "Law | Callable[[Live, Site, Values], None] | None" = None
     measure: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
     undo: "Callable[[Values, Site, Array], Array] | None" = None
 
     def __post_init__(self) -> None:
         if self.shows not in MARKS:
             raise InputError(f"Effect {self.name}: {unknown_name('mark', self.shows, MARKS)}")
+
+    @property
+    def only_measures(self) -> bool:
+        """Whether it changes what is measured and nothing of the motion."""
+        return not (self.command or self.error or self.spec or self.fields or self.step)
 
     @property
     def main(self) -> Parameter:
@@ -143,6 +246,7 @@ class Effect:
         return {p.name: p.typical for p in self.parameters}
 
 
+@shown
 @dataclass(frozen=True)
 class Drive:
     """One kind of drive.
@@ -151,13 +255,17 @@ class Drive:
         spec: makes the axis's actuator, whatever the values.
         fields: writes the values into the compiled model.
         target: makes the filter of the target (rad), as for a delay; None for none.
-        controller: makes what MuJoCo's actuator cannot do of the law; None where it does it all and its control is the
-            target.
-        supply: scales the axis's strength while stepping, as a sagging supply does: gets (nsim,) of the full voltage,
-            and (nsim,) signed share of it that back-EMF takes.
-        strength: model fields that `supply` writes.
+        gain: (nsim,) control of the actuator for each radian of the target; None for 1.
+        lead: (nsim,) control for each radian by which the target has moved within 10 ms; None for 0. With these two
+            alone the controls of a whole roll-out are known beforehand, and MuJoCo steps it without a stop.
+        controller: makes what the law remembers, given the values and the sample time in s; None where it remembers
+            nothing.
+        by_duty: whether it sets the motor's duty, so that less voltage means less of everything; else it regulates the
+            torque, and less voltage means less at most.
+        full: N m or N that it gives at most at rest, by its values; None where it is not known.
         free: parameters that a calibration fits unless told otherwise, `joint.armature` being the shaft's; empty for
             all.
+        uncertain: those that data sheets give roughly, if at all; a diagnosis refits them along with the free ones.
     """
 
     name: str
@@ -167,15 +275,19 @@ class Drive:
     parameters: tuple[Parameter, ...]
     spec: "Callable[[mujoco.MjSpec, Site], None]"
     fields: "Callable[[Fields, Site, Values], None]"
-    supply: "Callable[[Live, Site, Array, Array], None]"
-    strength: tuple[str, ...] = ("actuator_forcerange",)
+    full: Callable[[Mapping[str, float]], float] | None = None
+    by_duty: bool = False
     target: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
-    controller: "Callable[[Values, float], Controller] | None" = None
+    gain: "Callable[[Values], Array] | None" = None
+    lead: "Callable[[Values], Array] | None" = None
+    controller: "Callable[[Values, float], Controller | None] | None" = None
     free: tuple[str, ...] = ()
+    uncertain: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         known = [p.name for p in self.parameters]
-        wrong = [unknown_name("parameter", name, known) for name in self.free if name not in (*known, "joint.armature")]
+        fitted = (*self.free, *self.uncertain)
+        wrong = [unknown_name("parameter", name, known) for name in fitted if name not in (*known, "joint.armature")]
         if wrong:
             raise InputError([f"Drive {self.name}, free: {text}" for text in wrong])
 
@@ -238,7 +350,7 @@ def _declared(
     own = importlib.import_module(package)
     for info in pkgutil.iter_modules(own.__path__):
         yield info.name, getattr(importlib.import_module(f"{package}.{info.name}"), symbol, None)
-    for point in importlib.metadata.entry_points(group=package):
+    for point in _entry_points(package, tuple(sys.path)):
         try:
             yield point.value, point.load()
         except Exception as error:  # whatever a foreign module raises while it loads
@@ -253,6 +365,12 @@ def _declared(
             yield str(file), getattr(_load(file), symbol, None)
         except Exception as error:  # whatever the user's file raises while it loads
             complaints.append(f"{file} does not load: {type(error).__name__}: {error}")
+
+
+@cache
+def _entry_points(group: str, path: tuple[str, ...]) -> tuple[importlib.metadata.EntryPoint, ...]:
+    """Those of a group that packages on a search path declare; to look through all of them takes long."""
+    return tuple(importlib.metadata.entry_points(group=group))
 
 
 _LOADED: dict[tuple[Path, int], ModuleType] = {}

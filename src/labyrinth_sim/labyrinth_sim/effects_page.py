@@ -28,6 +28,13 @@ dashed line is the command (half a triangle, a step, then rest while the other a
 then tilted by 0.012 rad), grey the model without the effect, red the model with it, at the value in the title; below is
 the difference between the two, on a scale of its own.
 
+Units and bounds are those of a servo that turns with up to 10 N m. For a stronger axis, and for one that slides (N for
+N m, m for rad), they follow from its drive's full force and its limits; a value that grows with the axis may be stated
+far beyond them.
+
+Free curves (`curve_...`) are tables over one variable, for what has no name yet. They are no candidates of a diagnosis
+unless asked for, and the range of a table is stated, not fitted.
+
 To add one of your own, write a file that declares `EFFECT = Effect(...)` as those in `labyrinth_sim/effects` do, and
 name its folder by `--effects DIR` or `$EPS_TUNNEL_EFFECTS`, or declare an entry point of the group
 `labyrinth_sim.effects`.

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one engine under batches and the live node: many simulations of one plan, a sample at a time."""
+"""The one engine under batches and the live node: many simulations of one plan."""
 
 import logging
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import mujoco
@@ -12,10 +14,13 @@ from numpy.typing import NDArray
 
 from labyrinth_sim.build import Plan, local_values
 from labyrinth_sim.effect import Controller, Values
+from labyrinth_sim.filters import Delay
 from labyrinth_sim.first_state import place_ball
+from labyrinth_sim.law import Law
 from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Measured
+from labyrinth_sim.runner import Laws, Runner
 from labyrinth_sim.site import ball_site
 from labyrinth_sim.trials import Array
 
@@ -24,10 +29,14 @@ mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
 
 Columns = slice | NDArray[np.intp]
 LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
+LEAD_TIME = 0.01  # s, over which a drive's law sees by how much its target changes; the paper's sample
+CHECK_EVERY = 50  # samples between checks for simulations that diverged
+AT_ONCE = 1024  # MuJoCo steps of one uninterrupted stretch; bounds the memory of what is recorded
+RECORDED = {"position": "qpos", "velocity": "qvel", "torque": "qfrc_actuator"}
 
 
 class Engine:
-    """nsim simulations, advanced sample by sample.
+    """nsim simulations.
 
     Args:
         model: the model.
@@ -44,24 +53,36 @@ class Engine:
         self.batch = mujoco.batch.Batch(plan.mj, nsim, nthread)
         self.fields = Fields(self.batch)
         self.fields["opt.timestep"][...] = step / self.substeps
-        self._values = values
         self._set_fields(values)
+        self.nthread = nthread
         acting = plan.acting(values)
-        self._hooks = [(p, local_values(values, p.prefix)) for p in acting if p.effect.step]
-        self._errors = [[(p, local_values(values, p.prefix)) for p in acting if p.effect.error and p.site.channel == i]
-                        for i in range(len(plan.drives))]  # fmt: skip
-        touched = {name for p, _ in self._hooks for name in p.effect.touches}
-        self.live = Live(self.batch, self.fields, tuple(sorted(touched)), tuple((d, s) for d, _, s in plan.drives))
-        self.live_step = step / self.substeps
+        steps = [p for p in acting if p.effect.step]
+        self._hooks = [(p, local_values(values, p.prefix)) for p in steps if not isinstance(p.effect.step, Law)]
+        self._errors = bool([p for p in acting if p.effect.error])
+        none = np.zeros(nsim)
+        self._ticks = np.column_stack([values.get(f"{p}feedback_tick", none) for _, p, _ in plan.drives])
+        self._errors |= bool(self._ticks.any())
+        self._every_step = bool(steps) or self._errors
+        touched = {name for p in steps for name in p.effect.touches}
+        sites = tuple(site for _, _, site in plan.drives)
+        self.live = Live(self.batch, self.fields, tuple(sorted(touched)), sites, self._every_step)
+        own = [(kind, local_values(values, prefix)) for kind, prefix, _ in plan.drives]
+        self._gain = [kind.gain(v) if kind.gain else np.ones(nsim) for kind, v in own]
+        self._lead = [kind.lead(v) if kind.lead else None for kind, v in own]
+        self._window = max(LEAD_TIME, step)
         self._controllers: list[Controller | None] = [
-            kind.controller(local_values(values, prefix), step) if kind.controller else None
-            for kind, prefix, _ in plan.drives
+            kind.controller(v, step) if kind.controller else None for kind, v in own
         ]
-        self._every_step = bool(self._hooks) or any(self._errors)
+        integrals = [c.integral if c else none for c in self._controllers]
+        self._whole = not (self._hooks or plan.with_ball or any(i is None for i in integrals))
+        self._integral = np.column_stack([none if i is None else i for i in integrals])
+        between = self._every_step or bool(self._integral.any())
+        self._laws = Laws(plan, acting, values, nsim) if between else None
         self._off, self._any_off = np.zeros((nsim, len(plan.drives)), dtype=bool), False
-        self._measured = self._columns([_address(plan.mj, m) for m in model.rig.measured])
+        self._earlier: list[Delay] = []
+        self._addresses = [_address(plan.mj, m) for m in model.rig.measured]
+        self._measured = self._columns(self._addresses)
         self._signals = len(model.rig.measured) + (len(BALL_SIGNALS) if plan.with_ball else 0)
-        self._ctrl = self.batch.bind("ctrl")
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS if plan.with_ball else mujoco.mjtStage.mjSTAGE_NONE)
         self.failed: NDArray[np.bool_] = np.zeros(nsim, dtype=bool)
         self.messages: dict[int, str] = {}
@@ -77,8 +98,12 @@ class Engine:
                 self.fields[f"dof_{quantity}"][:, int(self.plan.mj.joint(owner).dofadr[0])] = numbers
             elif kind == "body":
                 body = self.plan.mj.body(owner).id
-                self.fields["body_inertia"][:, body] *= (numbers / self.plan.mj.body_mass[body])[:, None]
-                self.fields["body_mass"][:, body] = numbers
+                factor = numbers if quantity == "inertia" else numbers / self.plan.mj.body_mass[body]
+                self.fields["body_inertia"][:, body] *= factor[:, None]
+                if quantity == "mass":
+                    self.fields["body_mass"][:, body] = numbers
+            elif kind == "belt":
+                self.fields[f"tendon_{quantity}"][:, self.plan.mj.tendon(owner).id] = numbers
         for drive, prefix, site in self.plan.drives:
             drive.fields(self.fields, site, local_values(values, prefix))
         for placed in self.plan.effects:
@@ -86,63 +111,209 @@ class Engine:
                 placed.effect.fields(self.fields, placed.site, local_values(values, placed.prefix))
         self.fields.derive()
 
-    def start(self, qpos: Array, qvel: Array) -> None:
-        """Puts the simulations into their first state, (nsim, nq) and (nsim, nv)."""
+    def start(self, qpos: Array, qvel: Array, target: Array) -> None:
+        """Puts the simulations into their first state, (nsim, nq) and (nsim, nv); their targets (nsim, u) were these
+        until now.
+        """
         self.batch.bind("qpos")[...] = qpos
         self.batch.bind("qvel")[...] = qvel
-        if self._hooks or self.plan.with_ball:
+        window = np.full(self.nsim, self._window)
+        self._earlier = [Delay(window, self.step, target[:, i]) for i in range(len(self.plan.drives))]
+        if (self._every_step or self.plan.with_ball) and not (self._laws and self._whole):
             self._run(lambda ids: self.batch.forward(ids))
 
-    def advance(self, target: Array) -> None:
-        """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off."""
+    def roll(self, targets: Array) -> Array:
+        """Rolls out all targets (nsim, T, u) rad, each held for a sample; NaN switches that axis's drive off.
+
+        Returns:
+            (nsim, T, m) signals at the start of each sample, before any sensor's effects; the ball's last. Efforts are
+            those that act from then on.
+        """
+        if not self._whole:
+            return self._stepped(targets)
+        if self._laws is not None:
+            return self._with_laws(self._laws, targets)
+        return self._uninterrupted(targets)
+
+    def _stepped(self, targets: Array) -> Array:
+        samples = targets.shape[1]
+        raw = np.empty((self.nsim, samples, self._signals))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k in range(samples):
+                raw[:, k] = self.measure()
+                self.advance(targets[:, k], raw[:, k])
+                if k % CHECK_EVERY == 0 or k == samples - 1:
+                    self.check(k * self.step)
+        return raw
+
+    def _uninterrupted(self, targets: Array) -> Array:
+        """Controls that are known beforehand: MuJoCo steps from one change of what is switched on to the next."""
+        samples = targets.shape[1]
+        raw = np.empty((self.nsim, samples, self._signals))
+        for source, addresses, columns in self._measured:
+            raw[:, 0, columns] = source[:, addresses]
+        off = np.isnan(targets)
+        control = self._controls(targets, off)
+        most = max(1, AT_ONCE // self.substeps)
+        for low, high in _stretches(off, most):
+            if (off[:, low] != self._off).any():
+                self._switch(off[:, low])
+            self._record(control[:, low:high], raw, low)
+            self.check(high * self.step)
+        return raw
+
+    def _controls(self, targets: Array, off: NDArray[np.bool_]) -> Array:
+        """(nsim, T, nu) of all actuators, as far as the targets alone tell."""
+        control = np.zeros((self.nsim, targets.shape[1], self.plan.mj.nu))
+        for i, (_, _, site) in enumerate(self.plan.drives):
+            control[:, :, site.actuator] = np.where(off[:, :, i], 0.0, self._law(i, targets[:, :, i]))
+        return control
+
+    def _with_laws(self, laws: Laws, targets: Array) -> Array:
+        """Simulations with laws between their steps, each by itself, in one compiled loop."""
+        raw = np.zeros((self.nsim, targets.shape[1], self._signals))
+        off = np.isnan(targets)
+        controls = self._controls(targets, off)
+        stretches = _stretches(off)
+        disabled = self._disabled(off)
+        measured = np.array([(list(RECORDED).index(q), address) for q, address in self._addresses], dtype=np.int64)
+        qpos, qvel, gain = self.live.qpos, self.live.qvel, np.column_stack(self._gain)
+
+        def rows(own: Sequence[int]) -> list[tuple[int, int]]:
+            """Those that diverged, and the sample at which they did."""
+            runner, failed = Runner(self.plan, self.fields), []
+            for i in own:
+                runner.load(i, qpos[i], qvel[i])
+                for low, high in stretches:
+                    runner.switch(int(disabled[i, low]))
+                    at = runner.roll(laws, i, controls[i, low:high], targets[i, low:high], gain[i],
+                                     self._ticks[i], self._integral[i], self.substeps, self.step,
+                                     measured, LIMIT, raw[i, low:high])  # fmt: skip
+                    if at >= 0:
+                        failed.append((i, low + at))
+                        break
+            return failed
+
+        count = min(self.nthread or os.cpu_count() or 1, self.nsim)
+        shares = [range(first, self.nsim, count) for first in range(count)]
+        if count == 1:
+            found = [rows(shares[0])]
+        else:
+            with ThreadPoolExecutor(count) as pool:
+                found = list(pool.map(rows, shares))
+        for i, at in (row for part in found for row in part):
+            self._fail(i, _diverged(at * self.step))
+        return raw
+
+    def _record(self, control: Array, raw: Array, low: int) -> None:
+        """Steps through controls (nsim, K, nu) and writes signals into raw (nsim, T, m), from sample `low` on."""
+        ids = np.flatnonzero(~self.failed).astype(np.int32) if self.messages else None
+        if ids is not None and ids.size == 0:
+            return
+        rows = slice(None) if ids is None else ids
+        held = control[rows]
+        if self.substeps > 1:
+            held = np.repeat(held, self.substeps, axis=1)
+        needed = [RECORDED[q] for q in RECORDED if any(q == own for own, _ in self._addresses)]
+        try:
+            seen = self.batch.rollout(held.shape[1], held, int(mujoco.mjtState.mjSTATE_CTRL), record=needed, ids=ids)
+        except mujoco.batch.SimulationError as error:
+            for i in error.ids:
+                self._fail(int(i), self.batch.error(int(i)))
+            return
+        high = low + control.shape[1]
+        for column, (quantity, address) in enumerate(self._addresses):
+            found = seen[RECORDED[quantity]][:, :, address]
+            if quantity == "torque":  # what acted during a step is recorded with it
+                raw[rows, low:high, column] = found[:, :: self.substeps]
+            else:
+                after = found[:, self.substeps - 1 :: self.substeps]
+                last = min(high + 1, raw.shape[1])
+                raw[rows, low + 1 : last, column] = after[:, : last - low - 1]
+
+    def _law(self, channel: int, targets: Array) -> Array:
+        """(nsim, K) controls of a drive for its next targets (nsim, K), without what depends on the angle."""
+        control = self._gain[channel][:, None] * targets
+        lead = self._lead[channel]
+        if lead is None or not lead.any():
+            return control
+        change = np.nan_to_num(targets - self._earlier[channel](targets, targets))
+        return control + (LEAD_TIME / self._window) * lead[:, None] * change
+
+    def advance(self, target: Array, seen: Array | None = None) -> None:
+        """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off.
+
+        Args:
+            seen: (nsim, m) signals; their efforts become those that acted at first.
+        """
         off = np.isnan(target)
         if (off != self._off).any():
             self._switch(off)
+        base = []
+        errors = self._seen_errors(target)
         for i, controller in enumerate(self._controllers):
+            control = self._law(i, target[:, i : i + 1])[:, 0]
             if controller:
-                error = self._error(i, target[:, i])
-                controller.sample(np.where(off[:, i], 0.0, error) if self._any_off else error)
+                error = errors[:, i]
+                control = control + controller.sample(np.where(off[:, i], 0.0, error) if self._any_off else error)
                 if self._any_off:
                     controller.restart(off[:, i])
-            if not self._errors[i]:
-                self._control(i, target[:, i], off[:, i])
+            base.append(control)
+            self._control(i, control, off[:, i])
         if not self._every_step:
-            self._run(lambda ids: self.batch.step(ids, self.substeps, self._stage))
+            self._first(seen, partial(self.batch.step, nstep=1, stage=self._stage if self.substeps == 1 else 0))
+            if self.substeps > 1:
+                self._run(partial(self.batch.step, nstep=self.substeps - 1, stage=self._stage))
             return
         for k in range(self.substeps):
-            self._before_step(target, off)
+            self._before_step(target, base, off)
             stage = self._stage if k == self.substeps - 1 else 0
-            self._run(partial(self.batch.step, nstep=1, stage=stage))
+            self._first(seen if k == 0 else None, partial(self.batch.step, nstep=1, stage=stage))
 
-    def _control(self, channel: int, target: Array, off: NDArray[np.bool_]) -> None:
-        controller = self._controllers[channel]
-        control = controller(target) if controller else target
-        self._ctrl[:, self.plan.drives[channel][2].actuator] = np.where(off, 0.0, control) if self._any_off else control
+    def _first(self, seen: Array | None, call: Callable[[NDArray[np.int32] | None], None]) -> None:
+        self._run(call)
+        if seen is not None:
+            for column, (quantity, address) in enumerate(self._addresses):
+                if quantity == "torque":
+                    seen[:, column] = self.live.actuator[:, address]
 
-    def _before_step(self, target: Array, off: NDArray[np.bool_]) -> None:
+    def _control(self, channel: int, control: Array, off: NDArray[np.bool_]) -> None:
+        actuator = self.plan.drives[channel][2].actuator
+        self.live.ctrl[:, actuator] = np.where(off, 0.0, control) if self._any_off else control
+
+    def _before_step(self, target: Array, base: Sequence[Array], off: NDArray[np.bool_]) -> None:
+        self.live.restore()
+        errors = self._seen_errors(target)
         for i, (_, _, site) in enumerate(self.plan.drives):
-            if self._errors[i]:
-                error = target[:, i] - self.live.qpos[:, site.qpos]
-                self._control(i, target[:, i] + (self._error(i, target[:, i]) - error), off[:, i])
-        if self._hooks:
-            self.live.restore()
-            for placed, values in self._hooks:
-                assert placed.effect.step is not None
-                placed.effect.step(self.live, placed.site, values)
+            if self._errors:
+                shift = errors[:, i] - (target[:, i] - self.live.qpos[:, site.qpos])
+                self._control(i, base[i] + self._gain[i] * np.where(off[:, i], 0.0, shift), off[:, i])
+        for placed, values in self._hooks:
+            assert callable(placed.effect.step)
+            placed.effect.step(self.live, placed.site, values)
+        if self._laws:
+            self._laws.apply_forces(self.live, self.fields)
 
-    def _error(self, channel: int, target: Array) -> Array:
-        error = target - self.live.qpos[:, self.plan.drives[channel][2].qpos]
-        for placed, values in self._errors[channel]:
-            assert placed.effect.error is not None
-            error = placed.effect.error(values, error)
-        return error
+    def _seen_errors(self, target: Array) -> Array:
+        """(nsim, u) rad by which each drive sees its target before its angle; NaN where it is off."""
+        seen = self.live.qpos[:, [site.qpos for _, _, site in self.plan.drives]]
+        errors = target - np.where(self._ticks > 0.0, _whole(seen, self._ticks), seen)
+        if self._laws is None:
+            return errors
+        self._laws.error[...] = errors
+        self._laws.apply_errors(self.live, self.fields)
+        return np.where(np.isnan(target), np.nan, self._laws.error)
 
     def _switch(self, off: NDArray[np.bool_]) -> None:
-        bits = np.zeros(self.nsim, dtype=np.int32)
-        for i, (_, _, site) in enumerate(self.plan.drives):
-            bits |= np.where(off[:, i], 1 << site.group, 0).astype(np.int32)
-        self.fields["opt.disableactuator"][...] = bits
+        self.fields["opt.disableactuator"][...] = self._disabled(off)
         self._off, self._any_off = off, bool(off.any())
+
+    def _disabled(self, off: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """(...) bits of the actuator groups of the drives that are off (..., u)."""
+        bits = np.zeros(off.shape[:-1], dtype=np.int32)
+        for i, (_, _, site) in enumerate(self.plan.drives):
+            bits |= np.where(off[..., i], 1 << site.group, 0).astype(np.int32)
+        return bits
 
     def _run(self, call: Callable[[NDArray[np.int32] | None], None]) -> None:
         ids = np.flatnonzero(~self.failed).astype(np.int32) if self.messages else None
@@ -163,10 +334,10 @@ class Engine:
         """Marks simulations that diverged by `time` s; they are not stepped any more."""
         speed = np.abs(self.live.qvel).max(axis=1)
         for sim in np.flatnonzero(~(speed < LIMIT) & ~self.failed):
-            self._fail(int(sim), f"diverged by {time:.3f} s: a speed beyond {LIMIT:g} rad/s or not a number")
+            self._fail(int(sim), _diverged(time))
 
     def measure(self) -> Array:
-        """(nsim, m) signals now, before any sensor's effects; the ball's last."""
+        """(nsim, m) signals now, before any sensor's effects; the ball's last. Efforts are those of the last step."""
         seen = np.empty((self.nsim, self._signals))
         for source, addresses, columns in self._measured:
             seen[:, columns] = source[:, addresses]
@@ -195,6 +366,22 @@ class Engine:
         """Puts the balls, at rest, at `ball_x`, `ball_y` (nsim,) m, or where the MJCF has them."""
         place_ball(self._ball, self.plan.mj, self.live.qpos, given)
         self.live.qvel[:, self._ball.ball_dof : self._ball.ball_dof + 6] = 0.0
+
+
+def _stretches(off: NDArray[np.bool_], most: int | None = None) -> list[tuple[int, int]]:
+    """Samples [low, high), `most` at once, during which no drive is switched on or off (nsim, T, u)."""
+    edges = np.flatnonzero((off[:, 1:] != off[:, :-1]).any(axis=(0, 2))) + 1
+    parts = zip([0, *map(int, edges)], [*map(int, edges), off.shape[1]], strict=True)
+    return [(low, min(low + (most or last), last)) for first, last in parts for low in range(first, last, most or last)]
+
+
+def _whole(angle: Array, tick: Array) -> Array:
+    """Angles in whole ticks, halves upwards."""
+    return tick * np.floor(angle / np.where(tick > 0.0, tick, 1.0) + 0.5)
+
+
+def _diverged(time: float) -> str:
+    return f"diverged by {time:.3f} s: a speed beyond {LIMIT:g} rad/s or not a number"
 
 
 def _run_of(columns: list[int]) -> Columns:

@@ -10,10 +10,11 @@ from difflib import get_close_matches
 from typing import TypeVar
 
 T = TypeVar("T")
+LONGEST_NAME = 200  # characters of an unknown name that are shown
 
 
 class InputError(ValueError):
-    """Everything wrong with one input, told at once.
+    """All that is wrong with one input.
 
     Args:
         complaints: one sentence each: what came, what was expected, what to try.
@@ -25,28 +26,29 @@ class InputError(ValueError):
 
 
 class Complaints:
-    """Gathers what is wrong with several inputs, so that it is told at once."""
+    """Gathers what is wrong with several inputs, so that all of it is said at once."""
 
     def __init__(self) -> None:
-        self._told: list[str] = []
+        self._found: list[str] = []
 
     def attempt(self, load: Callable[[], T]) -> T | None:
         """What `load` returns; None where it raises InputError, whose complaints are kept."""
         try:
             return load()
         except InputError as error:
-            self._told += error.complaints
+            self._found += error.complaints
             return None
 
     def check(self) -> None:
         """Raises InputError with every complaint once, if there are any."""
-        if self._told:
-            raise InputError(dict.fromkeys(self._told))
+        if self._found:
+            raise InputError(dict.fromkeys(self._found))
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
     """A complaint about an unknown name, with the nearest valid one and the whole list."""
     names: Sequence[str] = sorted(valid)
+    name = name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 3]}..."
     near = get_close_matches(name, names, n=1)
     hint = f" Did you mean '{near[0]}'?" if near else ""
     listing = ", ".join(names) if names else "(there are none)"

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drives have in common: a torque limit that follows the supply; targets in whole ticks that come late."""
+"""What the drives have in common: a torque-speed line that follows the supply; targets in whole ticks that come late.
+
+MuJoCo does the line natively, by two actuators on the joint. The servo's force range is the torque at rest, S. The
+second one is the back-EMF, -B speed with B = S / no-load speed, which that range does not touch; a servo that is to
+follow its law until it reaches the line is given B speed on top of it: `clip(law + B speed, -S, S) - B speed`.
+"""
 
 import mujoco
-import numpy as np
 
 from labyrinth_sim.effect import Parameter, Values
 from labyrinth_sim.filters import Delay, rounded
-from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
@@ -19,24 +23,69 @@ def limit_torque(servo: mujoco.MjsActuator) -> None:
 
 
 def set_torque(fields: Fields, site: Site, torque: Array) -> None:
-    """Sets the largest torque, (nsim,) N m, in either direction."""
+    """Sets the largest torque at rest, (nsim,) N m, in either direction."""
     fields["actuator_forcerange"][:, site.actuator, 0] = -torque
     fields["actuator_forcerange"][:, site.actuator, 1] = torque
 
 
-def scale_torque(live: Live, site: Site, factor: Array, speed: Array) -> None:
-    """Scales the largest torque as a supply that sags does.
+def limit_current(spec: mujoco.MjSpec, site: Site) -> None:
+    """Limits what both of the axis's actuators give together, as a limited current does; `set_current` tells to what.
 
-    Args:
-        factor: (nsim,) of the full voltage.
-        speed: (nsim,) signed share of it that back-EMF takes.
+    A motor that brakes has back-EMF on its side, and would give more than at rest.
     """
-    limits = live["actuator_forcerange"][:, site.actuator]
-    limits[:, 0] *= np.maximum(factor + speed, 0.0)
-    limits[:, 1] *= np.maximum(factor - speed, 0.0)
+    joint = spec.joint(site.the_axis.joint)
+    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    joint.actfrcrange = [-1.0, 1.0]
+
+
+def set_current(fields: Fields, site: Site, torque: Array) -> None:
+    """Sets the torque at the largest current, (nsim,) N m, in either direction."""
+    fields["jnt_actfrcrange"][:, site.joint, 0] = -torque
+    fields["jnt_actfrcrange"][:, site.joint, 1] = torque
+
+
+BACK_EMF = Parameter(
+    "back_emf",
+    "s/rad",
+    0.0,
+    1.0,
+    0.0,
+    0.0,
+    "share of the torque that each rad/s takes, 1 over the no-load speed; 0 is none, small servos have 0.1 to 0.3",
+)
+
+
+def add_back_emf(spec: mujoco.MjSpec, site: Site) -> None:
+    """Gives the axis its second actuator; `set_back_emf` tells how strong."""
+    axis = site.the_axis
+    emf = spec.add_actuator(
+        name=f"{axis.actuator}_emf", target=axis.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, group=site.group
+    )
+    emf.set_to_velocity(kv=1.0)
+    emf.gainprm[0] = 0.0
+
+
+def back_emf_actuator(site: Site) -> int:
+    """Index of the axis's second actuator, -1 for a drive that has none."""
+    return next((i for i in site.actuators if i != site.actuator), -1)
+
+
+def set_back_emf(fields: Fields, site: Site, slope: Array) -> None:
+    """Sets what back-EMF takes of the torque, (nsim,) N m s/rad."""
+    fields["actuator_biasprm"][:, back_emf_actuator(site), 2] = -slope
 
 
 GOAL_TICK = Parameter("goal_tick", "rad", 0.0, 0.05, None, 0.0, "the goal register's, from its data sheet; 0 is none")
+
+FEEDBACK_TICK = Parameter(
+    "feedback_tick",
+    "rad",
+    0.0,
+    0.05,
+    None,
+    0.0,
+    "of the servo's own encoder, from its data sheet: the law sees whole ticks of the angle; 0 is none",
+)
 
 
 class Target:

@@ -13,12 +13,12 @@ from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model
-from labyrinth_sim.parts import PLAIN
+from labyrinth_sim.quantities import EFFORT, PLAIN
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array, Trials
 
-CHUNK = 4096  # simulations stepped together; bounds the memory of a large batch
-CHECK_EVERY = 50  # samples between looks for simulations that diverged
+CHUNK = 4096  # simulations stepped together, and
+MEMORY = 2e8  # bytes of what is recorded of them; bound the memory of a large batch
 
 
 @dataclass(frozen=True)
@@ -151,33 +151,55 @@ def simulate_batch(
     every_number = numbers_of(model, n * c)
     every_number |= {name: table[sets, column] for column, name in enumerate(names)}
     every_number |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
-    for which in _groups(plan, every_number, n * c):
+    chunk = int(np.clip(MEMORY / (8 * len(grid) * (len(every) + block.shape[2])), 1, CHUNK))
+    for which in _groups(plan, every_number, n * c, chunk):
         numbers = {name: given[which] for name, given in every_number.items()}
         first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays[which]] for name, v in (initial or {}).items()}
-        engine = Engine(model, plan, numbers, len(which), step, nthread)
-        out[which] = _roll_out(model, plan, engine, numbers, step, block[plays[which]], first)[:, :, columns]
-        out[which[engine.failed]] = np.nan
-        messages |= {(int(sets[which[i]]), int(plays[which[i]])): text for i, text in engine.messages.items()}
-        steps += len(which) * engine.substeps * (len(grid) - 1)
+        first = undone(plan, numbers, first)
+        alone, shared = _moving_differently(plan, numbers, first, plays[which])
+        own = {name: given[alone] for name, given in numbers.items()}
+        engine = Engine(model, plan, own, len(alone), step, nthread)
+        start = {name: given[alone] for name, given in first.items()}
+        raw = _roll_out(model, plan, engine, own, step, block[plays[which[alone]]], start)[shared]
+        seen = through(measure_filters(model, plan, numbers, step, raw[:, 0]), raw)
+        out[which] = seen[:, :, columns]
+        out[which[engine.failed[shared]]] = np.nan
+        texts = [(i, engine.messages[int(k)]) for i, k in zip(which, shared, strict=True) if engine.failed[k]]
+        messages |= {(int(sets[i]), int(plays[i])): text for i, text in texts}
+        steps += len(alone) * engine.substeps * (len(grid) - 1)
         done += len(which)
         if progress:
             progress(done)
     failed = np.zeros((n, c), dtype=bool)
     for where in messages:
         failed[where] = True
-    seen: Array = out.reshape(n, c, len(grid), len(columns))
-    seen.setflags(write=False)
+    answers: Array = out.reshape(n, c, len(grid), len(columns))
+    answers.setflags(write=False)
     chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
-    return BatchResult(chosen, units, seen, failed, messages, steps)
+    return BatchResult(chosen, units, answers, failed, messages, steps)
 
 
-def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int) -> Iterator[NDArray[np.int64]]:
+def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int, chunk: int) -> Iterator[NDArray[np.int64]]:
     """Simulations to step together, by number: those that MuJoCo can do alone, and those with work at every step."""
     stepping = [p.acts(numbers) for p in plan.effects if p.effect.step or p.effect.error]
     busy = np.any(stepping, axis=0) if stepping else np.zeros(nsim, dtype=bool)
     for group in (np.flatnonzero(~busy), np.flatnonzero(busy)):
-        for low in range(0, len(group), CHUNK):
-            yield group[low : low + CHUNK]
+        for low in range(0, len(group), chunk):
+            yield group[low : low + chunk]
+
+
+def _moving_differently(
+    plan: Plan, numbers: Mapping[str, Array], first: Mapping[str, Array], plays: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Simulations that must be stepped, and for each one which of them moves as it does.
+
+    Effects that only change what is measured leave the motion alone.
+    """
+    seen_only = (f"{EFFORT}.", *(p.prefix for p in plan.effects if p.effect.only_measures))
+    parts = [given for name, given in numbers.items() if not name.startswith(seen_only)]
+    table = np.column_stack([plays, *first.values(), *(given for given in parts if np.ptp(given) > 0.0)])
+    _, alone, shared = np.unique(table, axis=0, return_index=True, return_inverse=True, equal_nan=True)
+    return alone, np.ravel(shared)
 
 
 def _roll_out(
@@ -189,20 +211,11 @@ def _roll_out(
     commands: Array,
     first: Mapping[str, Array],
 ) -> Array:
-    samples = commands.shape[1]
-    qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, undone(plan, numbers, first))
-    engine.start(qpos, qvel)
+    qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
     start = rest_targets(plan, qpos, commands[:, 0])
+    engine.start(qpos, qvel, start)
     targets = through(command_filters(plan, numbers, step, start), commands)
-    raw = np.empty((engine.nsim, samples, len(engine.measure()[0])))
-    raw[:, 0] = engine.measure()
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(1, samples):
-            engine.advance(targets[:, k - 1])
-            raw[:, k] = engine.measure()
-            if k % CHECK_EVERY == 0 or k == samples - 1:
-                engine.check(k * step)
-    return through(measure_filters(model, plan, numbers, step, raw[:, 0]), raw)
+    return engine.roll(targets)
 
 
 def rest_targets(plan: Plan, qpos: Array, first: Array) -> Array:

@@ -23,9 +23,9 @@ class Site:
         others: indices of the other axes.
         actuator, actuators: of the axis; all that share its group.
         joint, dof, qpos: of the driven joint.
-        load_joint, load_dof, load_qpos, load_body: of the joint that carries the load, the driven one without a belt.
+        load_joint, load_dof, load_body: of the joint that carries the load, the driven one without a belt.
         tendon: the belt.
-        ball_joint, ball_dof, ball_geom, ball_body, ball_qpos, ball_site: of the ball.
+        ball_dof, ball_geom, ball_body, ball_qpos, ball_site: of the ball.
         centre: m, signal of the ball -> the point about which the board turns, in the frame of its positions.
     """
 
@@ -42,11 +42,9 @@ class Site:
     qpos: int = -1
     load_joint: int = -1
     load_dof: int = -1
-    load_qpos: int = -1
     load_body: int = -1
     tendon: int = -1
     ball: Ball | None = field(default=None)
-    ball_joint: int = -1
     ball_dof: int = -1
     ball_geom: int = -1
     ball_body: int = -1
@@ -83,7 +81,6 @@ def axis_site(rig: Rig, channel: int, model: mujoco.MjModel | None = None, signa
         qpos=int(joint.qposadr[0]),
         load_joint=load.id,
         load_dof=int(load.dofadr[0]),
-        load_qpos=int(load.qposadr[0]),
         load_body=int(load.bodyid[0]),
         tendon=model.tendon(axis.belt).id if axis.belt else -1,
     )
@@ -103,7 +100,6 @@ def ball_site(rig: Rig, model: mujoco.MjModel | None = None) -> Site:
     return Site(
         rig,
         ball=ball,
-        ball_joint=joint.id,
         ball_dof=int(joint.dofadr[0]),
         ball_qpos=int(joint.qposadr[0]),
         ball_geom=int(model.body(body).geomadr[0]),

@@ -57,9 +57,9 @@ class Stepper:
         given = {name: np.array([value]) for name, value in (initial or {}).items()}
         given = undone(self._plan, self._numbers, given)
         qpos, qvel = first_state(self.model, self._plan.mj, self.with_ball, 1, given)
-        self._engine.start(qpos, qvel)
         first = np.zeros(len(self.model.rig.axes)) if first_command is None else np.asarray(first_command, float)
         start = rest_targets(self._plan, qpos, first[None])
+        self._engine.start(qpos, qvel, start)
         self._commands = command_filters(self._plan, self._numbers, self.step, start)
         raw = self._engine.measure()
         self._sensors = measure_filters(self.model, self._plan, self._numbers, self.step, raw)

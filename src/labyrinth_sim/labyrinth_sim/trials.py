@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.shown import shown
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,7 @@ def locked(values: object) -> Array:
     return array
 
 
+@shown
 @dataclass(frozen=True)
 class Trials:
     """p runs of the same command sequence, T samples of m signals each.

@@ -123,7 +123,8 @@ def test_the_live_stepper_is_the_batch(effect: Effect, scenes: dict[str, Scene])
     short = replace(scene, commands=scene.commands[150:300])
     stepper = Stepper(model, step=STEP, with_ball=home(effect) == "ball", timestep=scene.timestep)
     live = [stepper.reset(short.start)] + [stepper.advance(command) for command in short.commands[:-1]]
-    assert np.array_equal(short.play(model)[0], np.array(live))
+    seen = [i for i, unit in enumerate(model.rig.units[: len(live[0])]) if unit != "N m"]  # efforts: of the last step
+    assert np.array_equal(short.play(model)[0][:, seen], np.array(live)[:, seen])
 
 
 def test_the_declared_mark_shows(effect: Effect, scenes: dict[str, Scene], without: dict[str, np.ndarray]) -> None:

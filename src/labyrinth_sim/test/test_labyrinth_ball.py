@@ -13,7 +13,7 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.mjcf.geometry import Layout, load_geometry
 from labyrinth_sim.mjcf.labyrinth import labyrinth_xml
 
-LAYOUTS = load_geometry(Path(__file__).parents[3] / "config" / "labyrinth_geometry.yaml")
+LAYOUTS = load_geometry(Path(__file__).parents[1] / "config" / "labyrinth_geometry.yaml")
 GRAVITY = 9.81
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-GEOMETRY = Path(__file__).parents[3] / "config" / "labyrinth_geometry.yaml"
+GEOMETRY = Path(__file__).parents[1] / "config" / "labyrinth_geometry.yaml"
 
 
 def draw(out: Path, renderer: str, *arguments: str) -> subprocess.CompletedProcess[str]:

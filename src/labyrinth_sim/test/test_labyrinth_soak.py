@@ -12,7 +12,7 @@ from labyrinth_sim.ball import ON_BOARD, OVER_THE_RIM, BallGame
 from labyrinth_sim.mjcf.geometry import Layout, load_geometry
 from labyrinth_sim.mjcf.labyrinth import RIM_HEIGHT, STALL_TORQUE, labyrinth_xml
 
-LAYOUTS = load_geometry(Path(__file__).parents[3] / "config" / "labyrinth_geometry.yaml")
+LAYOUTS = load_geometry(Path(__file__).parents[1] / "config" / "labyrinth_geometry.yaml")
 BATCH, SEGMENT = 100, 500  # simulations; steps between checks for lost balls
 
 

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ from labyrinth_sim.config import names
 from labyrinth_sim.effect import effects
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model, save_model
+from labyrinth_sim.registry import Registry
 from labyrinth_sim.rig import load_rig
 from labyrinth_sim.simulate import simulate
 
@@ -43,6 +46,73 @@ def test_saving_and_loading_keeps_everything(tmp_path: Path) -> None:
     assert again.parameters()["drive.y.p"].source == "a test"
     with pytest.raises(InputError, match="never overwritten"):
         save_model(model, tmp_path / "mine.yaml")
+
+
+def test_a_complaint_names_file_line_and_parameter(tmp_path: Path) -> None:
+    text = Path(load_model("horn").path or "").read_text().replace("value: 10.0", "value: 1.0e+6").replace("N m s/", "")
+    (tmp_path / "wrong.yaml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_model(tmp_path / "wrong.yaml")
+    first, second = caught.value.complaints
+    assert first.startswith(f"{tmp_path / 'wrong.yaml'}:9: drive.horn.stiffness: must lie within [1e-05, ")
+    assert first.endswith("got 1e+06.")
+    expected = "drive.horn.damping: must be given in N m s/rad, got unit 'rad'. Convert the value."
+    assert second == f"{tmp_path / 'wrong.yaml'}:10: {expected}"
+
+
+def test_a_rig_is_found_beside_its_model_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    horn = load_rig("horn")
+    (tmp_path / "study").mkdir()
+    shutil.copy(horn.mjcf, tmp_path / "study" / "own.xml")
+    rig = yaml.safe_load(Path(horn.path or "").read_text())
+    (tmp_path / "study" / "own_rig.yaml").write_text(yaml.safe_dump({**rig, "name": "own", "mjcf": "own.xml"}))
+    model = yaml.safe_load(Path(load_model("horn").path or "").read_text())
+    (tmp_path / "study" / "own.yaml").write_text(yaml.safe_dump({**model, "rig": "own_rig.yaml"}))
+    monkeypatch.chdir(tmp_path)
+    first = load_model("study/own.yaml")
+    save_model(first, Path("study/saved.yaml"))
+    save_model(first, Path("elsewhere/saved.yaml"))
+    (tmp_path / "study").rename(tmp_path / "moved")
+    assert load_model("moved/saved.yaml").rig.path == tmp_path / "moved" / "own_rig.yaml"
+    # There the rig is named in full, for it was in another folder than the model.
+    with pytest.raises(InputError, match=r"saved.yaml:3: rig: Unknown rig .*study/own_rig.yaml"):
+        load_model("elsewhere/saved.yaml")
+    monkeypatch.chdir("moved")
+    assert load_model("own.yaml").rig == load_model(tmp_path / "moved" / "own.yaml").rig
+
+
+def test_a_path_in_a_model_is_not_relative_to_where_the_program_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(load_rig("horn").path or "", tmp_path / "own_rig.yaml")
+    model = yaml.safe_load(Path(load_model("horn").path or "").read_text())
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "own.yaml").write_text(yaml.safe_dump({**model, "rig": "own_rig.yaml"}))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=f"Searched: {tmp_path / 'folder'}"):
+        load_model("folder/own.yaml")
+
+
+def test_numbers_that_nobody_stated_are_listed(tmp_path: Path) -> None:
+    model = yaml.safe_load(Path(load_model("pendulum").path or "").read_text())
+    del model["drives"]["pendulum"]["values"]["voltage"]
+    del model["drives"]["pendulum"]["values"]["delay"]  # 0 adds nothing
+    del model["effects"][0]["values"]["torque"]  # at its default this effect does nothing
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(model))
+    (voltage,) = load_model(tmp_path / "model.yaml").unstated()
+    assert (voltage.name, voltage.value, voltage.unit) == ("drive.pendulum.voltage", 7.4, "V")
+    assert load_model(tmp_path / "model.yaml").with_values({"drive.pendulum.voltage": 5.0}).unstated() == ()
+    assert all(load_model(name).unstated() == () for name in names("models"))
+
+
+def test_half_a_model_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(data: object) -> str:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("labyrinth_sim.model.yaml_text", fails)
+    with pytest.raises(InputError, match="No space left"):
+        save_model(load_model("horn"), tmp_path / "model.yaml")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_bad_model_file_gets_all_its_complaints(tmp_path: Path) -> None:
@@ -98,12 +168,33 @@ def test_a_rig_that_misnames_its_mjcf_hears_the_names(tmp_path: Path) -> None:
     assert "Did you mean 'horn'" in str(caught.value)
 
 
-def test_an_effect_of_the_users_own_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_registry_travels_with_its_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bent_sensor.py").write_text(OWN)
+    registry = Registry.load(tmp_path)
+    assert registry.effect("bent_sensor").name == "bent_sensor"
+    assert registry.rivals("bent_sensor") == {"sensor_gain"}
+    assert "bent_sensor" in registry.rivals("sensor_gain")
+    assert "bent_sensor" not in Registry.load().rivals("sensor_gain")
+    with pytest.raises(InputError, match="Did you mean 'torque_pd'"):
+        registry.drive("torque_pid")
+    model = load_model("two_link_arm", registry)
+    assert pickle.loads(pickle.dumps(model.registry)).folder == tmp_path
+    monkeypatch.setenv("EPS_TUNNEL_EFFECTS", str(tmp_path))
+    assert Registry.load().folder == tmp_path
+    assert "bent_sensor" in load_model("two_link_arm").registry.effects
+
+
+def test_an_effect_of_the_users_own_is_found(tmp_path: Path) -> None:
     (tmp_path / "bent_sensor.py").write_text(OWN)
     assert "bent_sensor" in effects(tmp_path)
     assert "bent_sensor" not in effects()
-    monkeypatch.setenv("EPS_TUNNEL_EFFECTS", str(tmp_path))
-    model = load_model("two_link_arm").with_effect("bent_sensor", "elbow")
+    plain_model = load_model("two_link_arm", tmp_path)
+    assert plain_model.places("bent_sensor") == ("shoulder", "elbow")
+    model = plain_model.with_effect("bent_sensor", "elbow")
+    again = load_model(save_model(model, tmp_path / "bent.yaml"), plain_model.registry)
+    assert again.effects == model.effects
+    with pytest.raises(InputError, match="Unknown effect 'bent_sensor'"):
+        load_model("two_link_arm").with_effect("bent_sensor", "elbow")
     trials = simulate(model, np.arange(51) * 0.01, np.full((51, 2), 0.5))
     plain = simulate(load_model("two_link_arm"), np.arange(51) * 0.01, np.full((51, 2), 0.5))
     column = trials.index("elbow")
@@ -121,11 +212,16 @@ def test_a_broken_effect_file_is_told(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"effects": 3}, "'effects' must be a list"),
-        ({"quantities": 4}, "'quantities' must be a mapping"),
-        ({"provenance": 7}, "'provenance' must be a mapping"),
-        ({"drives": {"horn": {"kind": ["x"], "values": 7}}}, "Unknown drive"),
-        ({"rig": 5}, "Unknown rig '5'"),
+        ({"effects": 3}, "effects: expected a list, got 3"),
+        ({"quantities": 4}, "quantities: expected a mapping, got 4"),
+        ({"provenance": 7}, "provenance: expected a mapping, got 7"),
+        ({"drives": {"horn": {"kind": ["x"], "values": 7}}}, "drives.horn.kind: expected text, got ['x']"),
+        ({"drives": {"horn": {"kind": "x"}}}, "drives.horn.kind: Unknown drive 'x'"),
+        ({"drives": {}}, "drives: axis 'horn' has no drive"),
+        ({"effects": [3]}, "effects[0]: expected a mapping, got 3"),
+        ({"rig": 5}, "rig: Unknown rig '5'"),
+        ({"rig": ""}, "rig: Unknown rig ''"),
+        ({"rig": ["x"]}, "rig: expected text, got ['x']"),
     ],
 )
 def test_a_malformed_entry_is_told_beside_an_unknown_one(
@@ -137,17 +233,6 @@ def test_a_malformed_entry_is_told_beside_an_unknown_one(
         load_model(tmp_path / "wrong.yaml")
     assert complaint in str(told.value)
     assert "colour" in str(told.value)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [{"mjcf": 7}, {"sample_time": True}, {"ball": 3}, {"topics": [1]}, {"axes": {"a": {"limits": ["a", "b"]}}}],
-)
-def test_a_malformed_rig_is_told(tmp_path: Path, change: dict[str, object]) -> None:
-    horn = yaml.safe_load(load_rig("horn").path.read_text())
-    (tmp_path / "rig.yaml").write_text(yaml.safe_dump({**horn, **change}))
-    with pytest.raises(InputError):
-        load_rig(tmp_path / "rig.yaml")
 
 
 def test_an_effect_of_an_installed_package_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,9 +13,11 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2")
 labyrinth_msgs = pytest.importorskip("labyrinth_msgs.srv", reason="needs the workspace to be built and sourced")
 
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
 from labyrinth_msgs.msg import BallState  # noqa: E402
 
@@ -56,7 +58,7 @@ class Watcher:
             assert time.monotonic() < end, "waited in vain"
             self.executor.spin_once(timeout_sec=0.05)
 
-    def call(self, kind: type, name: str, **fields: str) -> object:
+    def call(self, kind: type, name: str, **fields: object) -> object:
         client = self.node.create_client(kind, name)
         self.until(client.service_is_ready)
         future = client.call_async(kind.Request(**fields))
@@ -107,6 +109,50 @@ def test_the_node_obeys_changes_its_model_and_leaves_cleanly(watcher: Watcher) -
         _, errors = node.communicate(timeout=PATIENCE)
     assert node.returncode == 0, errors
     assert "Traceback" not in errors
+
+
+def test_a_disarmed_simulation_refuses_commands_until_it_is_activated(watcher: Watcher) -> None:
+    node = start("model:=labyrinth_manual", "arm:=false", "autostart:=false")
+
+    def go(transition: int) -> bool:
+        return bool(watcher.call(ChangeState, "/sim_node/change_state", transition=Transition(id=transition)).success)
+
+    def commanded() -> bool:
+        watcher.commands.publish(JointState(name=["motor_x"], position=[0.03]))
+        watcher.executor.spin_once(timeout_sec=0.02)
+        return watcher.angle("motor_x") > 0.02
+
+    try:
+        assert not watcher.call(SetBool, "/sim/arm", data=True).success, "not configured"
+        assert not watcher.states
+        assert go(Transition.TRANSITION_CONFIGURE)
+        watcher.until(lambda: len(watcher.states) > 5 and watcher.commands.get_subscription_count() > 0)
+        assert not any(commanded() for _ in range(100))
+        assert go(Transition.TRANSITION_ACTIVATE)
+        watcher.until(commanded)
+        assert watcher.call(SetBool, "/sim/arm", data=False).success
+        assert go(Transition.TRANSITION_CLEANUP)
+        assert go(Transition.TRANSITION_CONFIGURE)
+        watcher.until(lambda: abs(watcher.angle("motor_x")) < 1e-3)  # from rest, and the old goal is forgotten
+        assert not any(commanded() for _ in range(50))
+        assert watcher.call(SetBool, "/sim/arm", data=True).success
+        watcher.until(commanded)
+    finally:
+        node.send_signal(signal.SIGTERM)
+        _, errors = node.communicate(timeout=PATIENCE)
+    assert node.returncode == 0, errors
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_without_a_clock_it_simulates_and_ends(watcher: Watcher, how: int) -> None:
+    node = start("use_sim_time:=true")
+    try:
+        watcher.until(lambda: len(watcher.states) > 20)
+        assert all(state.header.stamp.sec >= 0 for state in watcher.states)
+    finally:
+        node.send_signal(how)
+        _, errors = node.communicate(timeout=PATIENCE)
+    assert node.returncode == 0, errors
 
 
 def test_commands_that_piled_up_are_not_followed_one_by_one(watcher: Watcher) -> None:

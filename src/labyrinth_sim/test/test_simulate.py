@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labyrinth_sim.build import compiled
+from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.simulate import simulate, simulate_batch
+from labyrinth_sim.simulate import numbers_of, rest_targets, simulate, simulate_batch
 from labyrinth_sim.stepper import Stepper
 
 TIME = np.arange(151) * 0.01
@@ -54,6 +57,42 @@ def test_threads_do_not_change_a_bit(model: Model, commands: np.ndarray) -> None
     assert np.array_equal(one, three)
 
 
+def started(model: Model, targets: np.ndarray) -> Engine:
+    plan, n = compiled(model, False), len(targets)
+    engine = Engine(model, plan, numbers_of(model, n), n, 0.01, 1)
+    qpos, qvel = first_state(model, plan.mj, False, n, {})
+    engine.start(qpos, qvel, rest_targets(plan, qpos, targets[:, 0]))
+    return engine
+
+
+@pytest.mark.parametrize("name", ["labyrinth_manual", "labyrinth_mx64", "horn", "two_link_arm"])
+def test_mujoco_without_a_stop_gives_what_single_steps_give(name: str) -> None:
+    """Bit for bit, efforts included; drives are switched off and on, in each simulation at times of its own."""
+    model = load_model(name)
+    model = model.with_values({n: 3.0 for n in model.values() if n.startswith("drive.") and n.endswith(".d")})
+    targets = np.repeat(0.05 * np.sin(5.0 * TIME)[None, :, None], len(model.rig.axes), axis=2) * [[[1.0]], [[-0.6]]]
+    targets[0, 60:75, 0] = targets[1, 70:, 0] = targets[1, :5, -1] = np.nan
+    rolled, stepped = started(model, targets), started(model, targets)
+    through = rolled.roll(targets)
+    assert np.array_equal(through, stepped._stepped(targets))
+    assert not np.array_equal(through[0], through[1])
+    more = targets[:, ::-1]  # and the next roll-out goes on from where both stand
+    assert np.array_equal(rolled.roll(more), stepped._stepped(more))
+
+
+def test_what_only_a_sensor_shows_is_not_stepped_again(model: Model, commands: np.ndarray) -> None:
+    rich = model.with_effect("sensor_bias", "board_y").with_effect("sensor_delay", "motor_x")
+    names = ["sensor_bias.board_y.bias", "sensor_delay.motor_x.delay", "drive.x.p"]
+    values = np.array([[0.0, 0.0, 8.0], [0.01, 0.0, 8.0], [0.0, 0.02, 8.0], [0.01, 0.02, 12.0]])
+    batch = simulate_batch(rich, names, values, TIME, commands[None])
+    rows = [simulate_batch(rich, names, row, TIME, commands[None]) for row in values]
+    assert np.array_equal(batch.values, np.concatenate([row.values for row in rows]))
+    assert not np.array_equal(batch.values[0], batch.values[1])
+    assert batch.steps == 2 * rows[0].steps  # one for each gain of the drive
+    both = simulate_batch(rich, names, values[:2], TIME, [commands, -commands])
+    assert both.steps == 2 * rows[0].steps  # and for each command
+
+
 def test_a_batch_is_its_simulations(model: Model, commands: np.ndarray) -> None:
     names, values = ["drive.x.p", "joint.motor_y.armature"], np.array([[5.0, 0.02], [12.0, 0.005]])
     batch = simulate_batch(model, names, values, TIME, commands[None])
@@ -62,18 +101,29 @@ def test_a_batch_is_its_simulations(model: Model, commands: np.ndarray) -> None:
         assert np.array_equal(batch.values[i, 0], alone.values[0])
 
 
-@pytest.mark.parametrize("ball", [False, True])
-def test_the_live_stepper_is_the_batch(model: Model, commands: np.ndarray, ball: bool) -> None:
-    rich = (
-        model.with_effect("load_friction", "x").with_effect("sensor_bias", "board_y").with_effect("command_delay", "y")
-    )
-    rich = rich.with_effect("camera_latency", "ball")
+@pytest.mark.parametrize(("friction", "ball"), [(False, False), (True, False), (True, True)])
+def test_the_live_stepper_is_the_batch(model: Model, commands: np.ndarray, friction: bool, ball: bool) -> None:
+    rich = model.with_effect("sensor_bias", "board_y").with_effect("command_delay", "y")
+    rich = rich.with_values({"drive.x.d": 5.0}).with_effect("camera_latency", "ball")
+    if friction:  # a hook before every step; without one MuJoCo steps through without a stop
+        rich = rich.with_effect("load_friction", "x")
     block = commands.copy()
     block[100:120, 0] = np.nan
     whole = simulate(rich, TIME, block, with_ball=ball).values[0]
     stepper = Stepper(rich, with_ball=ball)
     live = [stepper.reset(first_command=block[0])] + [stepper.advance(u) for u in block[:-1]]
-    assert np.array_equal(whole, np.array(live))
+    position = [i for i, unit in enumerate(model.rig.units[: whole.shape[1]]) if unit != "N m"]
+    assert np.array_equal(whole[:, position], np.array(live)[:, position])
+
+
+def test_an_effort_is_the_one_that_acts_from_its_sample_on(model: Model) -> None:
+    bare = model.with_values({"drive.x.delay": 0.0, "drive.x.p": 12.0, "drive.x.d": 4.0, "drive.x.goal_tick": 0.0})
+    ramp = np.tile(0.05 * TIME[:, None], 2)
+    seen = simulate(bare, TIME, ramp)
+    angle, speed, effort = (seen.values[0, :, seen.index(f"motor_x{n}")] for n in ("", "_velocity", "_effort"))
+    wanted = 12.0 * (ramp[:, 0] - angle) + 4.0 * 0.01 * (np.gradient(ramp[:, 0], TIME) - speed)  # equation 8
+    expected = bare.values()["drive.x.speed_gain"] * (wanted - speed)
+    assert effort[1:] == pytest.approx(expected[1:], abs=1e-9)
 
 
 def test_a_drive_switched_off_lets_go(model: Model) -> None:
@@ -81,6 +131,27 @@ def test_a_drive_switched_off_lets_go(model: Model) -> None:
     trials = simulate(model, TIME, off, {"motor_x": 0.05, "motor_x_velocity": 0.2})
     assert np.abs(trials.values[0, :, trials.index("motor_x_effort")]).max() == 0.0
     assert trials.values[0, 20, trials.index("motor_x")] > 0.06
+
+
+def test_effects_survive_a_drive_that_is_switched_off_and_on(model: Model) -> None:
+    for name in (
+        "backlash",
+        "dead_band",
+        "rate_limit",
+        "positioning_error",
+        "load_friction",
+        "supply_sag",
+        "gain_error",
+    ):
+        model = model.with_effect(name, "x")
+    time = np.arange(201) * 0.01
+    commands = np.stack([0.05 * np.sin(3 * time), 0 * time], axis=1)
+    commands[60:120] = np.nan
+    seen = simulate(model, time, commands)
+    assert np.isfinite(seen.values).all()
+    off = seen.values[0, 65:120, seen.index("motor_x_effort")]  # the drive is 30 ms late
+    assert np.abs(off).max() == 0.0
+    assert np.ptp(seen.values[0, 125:, seen.index("motor_x")]) > 0.01
 
 
 def test_one_divergence_leaves_the_others_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,16 +13,18 @@ from collections.abc import Callable, Sequence
 from typing import Protocol, cast
 
 from eps_tunnel_analysis import cli
-from eps_tunnel_analysis.cli.versions import version
+from eps_tunnel_analysis.cli.completion import complete
+from eps_tunnel_analysis.outputs import version
+from eps_tunnel_analysis.processes import INTERRUPTED
 from labyrinth_sim.errors import InputError
 
-DONE, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
+DONE, BAD_INPUT, PIPE_CLOSED = 0, 2, 141
 DESCRIPTION = """\
 How far a simulation is from a real rig, where, and which physical effect the model lacks.
 Reads rosbag2 recordings; needs no ROS."""
 
 
-class Command(Protocol):
+class CommandModule(Protocol):
     """What the module of a command declares."""
 
     NAME: str
@@ -31,11 +33,13 @@ class Command(Protocol):
     run: Callable[[argparse.Namespace], int | None]
 
 
-def commands() -> dict[str, Command]:
+def commands() -> dict[str, CommandModule]:
     """Every command by name, in alphabetical order."""
     modules = [importlib.import_module(f"{cli.__name__}.{m.name}") for m in pkgutil.iter_modules(cli.__path__)
                if not m.name.startswith("_")]  # fmt: skip
-    return {m.NAME: cast(Command, m) for m in sorted((m for m in modules if hasattr(m, "NAME")), key=lambda m: m.NAME)}
+    return {
+        m.NAME: cast(CommandModule, m) for m in sorted((m for m in modules if hasattr(m, "NAME")), key=lambda m: m.NAME)
+    }
 
 
 def parser() -> argparse.ArgumentParser:
@@ -65,7 +69,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code."""
     name = "eps-tunnel"
     try:
-        arguments = parser().parse_args(argv)
+        line = parser()
+        complete(line)
+        arguments = line.parse_args(argv)
         name = f"{name} {arguments.command}"
         code = arguments.run(arguments)
         sys.stdout.flush()
@@ -80,10 +86,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # keeps Python's own flush at exit quiet
         return PIPE_CLOSED
+    except MemoryError:
+        print(f"{name}: out of memory. Take fewer or shorter recordings, or a lower --rate.", file=sys.stderr)
+        return BAD_INPUT
+    except RecursionError:
+        print(f"{name}: an input is nested too deeply to be read. Look for a damaged file.", file=sys.stderr)
+        return BAD_INPUT
     except OSError as error:
         file = f"{error.filename}: " if error.filename else ""
         print(f"{name}: {file}{error.strerror or error}", file=sys.stderr)
+        _give_up_output()
         return BAD_INPUT
+
+
+def _give_up_output() -> None:
+    """Leaves what stdout could not take, as on a full disk, or Python would try again at its end and complain."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

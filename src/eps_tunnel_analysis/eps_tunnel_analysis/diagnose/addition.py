@@ -1,25 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adding named effects to a model: fitted together with the base values, proved on samples kept from the fit."""
+"""Adding effects to a model: the refits of a diagnosis, or of one that considers nothing else."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from eps_tunnel_analysis.diagnose.axis_search import ROUNDS, Progress, axis_parts, axis_search, ball_part
-from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
-from eps_tunnel_analysis.diagnose.base_refit import base_refit
-from eps_tunnel_analysis.diagnose.bases import fitted_bases
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.axes import left_out_error, with_refits
+from eps_tunnel_analysis.diagnose.axis import MISFITTED, ROUNDS, AxisDiagnosis, hypothesis
+from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate
-from eps_tunnel_analysis.diagnose.diagnose import compared, errors_of, is_moved
-from eps_tunnel_analysis.diagnose.refit import Refit
-from eps_tunnel_analysis.diagnose.search import Search
-from eps_tunnel_analysis.diagnose.verdict import Errors
-from eps_tunnel_analysis.plays import Play
-from labyrinth_sim.effect import effects as library_effects
+from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors
+from eps_tunnel_analysis.diagnose.falls import Three, fall_sentences
+from eps_tunnel_analysis.diagnose.progress import RolloutProgress
+from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
+from eps_tunnel_analysis.fit.calibrate import AT_BOUND
+from eps_tunnel_analysis.outputs import plain
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 
-STARTS = 6  # looks that are descended
+STARTS = 6  # trial points that are descended
 
 
 @dataclass(frozen=True)
@@ -27,32 +32,50 @@ class Addition:
     """A model with effects added.
 
     Attributes:
+        effects: names, as `backlash.x`; empty where the values were only refitted.
         model: with the effects, everything fitted.
-        before, after: errors with the values refitted, without and with the effects; of the ball, in m, where all of
-            them act on it.
+        given, before, after: errors of the model as given, with its values refitted, and with the effects; of the ball,
+            in m, where all of them act on it.
+        plays: the error of each recording for the same three models, rad.
         values: what was fitted.
+        doubts: values at their bounds and fits that have not converged, one sentence each.
+        unit: of the errors.
+        itself: alikeness, joint at k = 1, that the rig reaches against itself; NaN where unknown.
     """
 
+    effects: tuple[str, ...]
     model: Model
+    given: Errors
     before: Errors
     after: Errors
+    plays: tuple[tuple[PlayError, ...], ...]
     values: Mapping[str, float]
+    doubts: tuple[str, ...] = ()
+    unit: str = "rad"
+    itself: float = math.nan
+
+    @property
+    def errors(self) -> Three:
+        """Of the model as given, with its values refitted, and with the effects."""
+        return self.given, self.before, self.after
 
     @property
     def sentence(self) -> str:
-        """Whether it helped, in words."""
-        fall = 1.0 - self.after.held_out / self.before.held_out if self.before.held_out else 0.0
-        if fall <= 0.0:
-            return f"On samples held out the error did not fall ({-fall:.0%} more): leave it out."
-        return f"On samples held out the error fell by {fall:.0%}, alikeness from {self.before.alikeness:.0%} to " \
-            f"{self.after.alikeness:.0%}."  # fmt: skip
+        """Whether it helped, and what is doubtful, in words."""
+        falls = fall_sentences(self.errors, self.plays, self.unit, self.itself) if self.effects else ()
+        return " ".join([*falls, *self.doubts])
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
+        names = ("as_given", "refitted", "with_effects")
         return {
+            "given": asdict(self.given),
             "before": asdict(self.before),
             "after": asdict(self.after),
+            "recordings": {n: [asdict(e) for e in of_one] for n, of_one in zip(names, self.plays, strict=True)},
+            "rig_against_itself": plain(self.itself),
             "values": dict(self.values),
+            "doubts": list(self.doubts),
             "sentence": self.sentence,
         }
 
@@ -62,64 +85,108 @@ def add_effects(
     plays: Sequence[Play],
     names: Sequence[str],
     nthread: int = 0,
-    told: Progress | None = None,
+    progress: RolloutProgress | None = None,
     held: Sequence[Play] = (),
 ) -> Addition:
-    """Adds effects by name (`backlash.x`), those of one axis fitted together.
+    """Adds effects by name (`backlash.x`), fitted as a diagnosis fits them that considers nothing else.
 
     Args:
-        told: what is being done and how many roll-outs were made.
+        progress: called with what is being done and how many roll-outs were made.
         held: plays that are never fitted, for the held-out error.
 
     Raises:
-        InputError: unknown names or places, or an axis that was not measured.
+        InputError: unknown names or places, effects that the model has, or an axis that was not measured or not moved.
     """
-    known = library_effects()
-    complaints = [unknown_name("effect", n.partition(".")[0], known) for n in names if n.partition(".")[0] not in known]
+    model.registry.check(names)
+    valid = [f"{effect.name}.{place}" for effect in model.registry.effects.values() for place in model.places(effect)]
+    present = [f"{use.effect.name}.{use.place}" for use in model.effects]
+    complaints = [unknown_name("effect and place", n, valid) for n in names if n not in valid]
+    complaints += [f"{n} is in the model already; `calibrate` fits its values." for n in names if n in present]
     if complaints:
         raise InputError(complaints)
-    base_model, final = model, model
-    values: dict[str, float] = {}
-    left = list(dict.fromkeys(names))
-    on_axes, on_ball = split([n.partition(".")[0] for n in names])
-    rolls = bool(on_ball) and sees_ball(model, plays)
-    alone = [without_ball(p) for p in plays]
-    parts = [p for p in axis_parts(model, alone) if is_moved(model, p, alone)]
-    bases = fitted_bases(model, alone, parts, on_axes, nthread, told)
-    for part in [*parts, ball_part()] if rolls else parts:
-        ball = part.axis == BALL
-        # It rolls as the axes tilt, so it is fitted last.
-        search = axis_search(final if ball else bases.among(model, part.axis), plays if ball else alone, part,
-                             only=on_ball if ball else on_axes if rolls else [*on_axes, *on_ball],
-                             nthread=nthread, told=told)  # fmt: skip
-        mine = [c for c in search.library.candidates if c.name in left]
-        left = [n for n in left if n not in [c.name for c in mine]]
-        base = base_refit(search, bases.values.get(part.axis))
-        best = _fitted(search, base, mine)
-        numbers = dict(zip(search.library.names, (float(v) for v in best.values), strict=True))
-        fitted = dict(zip(search.library.names, (float(v) for v in base.values), strict=True))
-        base_model = base_model.with_values({n: fitted[n] for n in part.base}, "add-effect")
-        final = final.with_values({n: numbers[n] for n in part.base}, "add-effect")
-        for candidate in mine:
-            final = final.with_effect(candidate.effect, candidate.place)
-            final = final.with_values({n: numbers[n] for n in candidate.parameters}, "add-effect")
-        values |= {n: numbers[n] for n in (*part.base, *(p for c in mine for p in c.parameters))}
-    if left:
-        valid = [f"{e.name}.{place}" for e in known.values() for place in model.places(e)]
-        raise InputError([unknown_name("effect and place", n, valid) for n in left])
-    unit = "m" if rolls and not on_axes else "rad"
-    before, after = (
-        errors_of(compared(m, plays if rolls else alone), compared(m, held), unit) for m in (base_model, final)
+    diagnosis = diagnose(
+        model, plays, only=tuple(names), nthread=nthread, progress=progress, experiments=False, held=held
     )
-    return Addition(final, before, after, values)
+    return addition_of(diagnosis, names, plays, held)
 
 
-def _fitted(search: Search, base: Refit, candidates: Sequence[Candidate]) -> Refit:
-    """The candidates one after the other, each from its best looks, on top of those before it."""
-    best = base
-    for candidate in candidates:
+def addition_of(
+    diagnosis: Diagnosis, names: Collection[str], plays: Sequence[Play], held: Sequence[Play] = ()
+) -> Addition:
+    """Effects added that a diagnosis of these plays considered: its own refits, so that both say the same.
+
+    Args:
+        names: of effects; none for the values alone.
+
+    Raises:
+        InputError: the diagnosis did not consider one of them.
+    """
+    considered = [c.name for axis in diagnosis.axes for c in axis.search.library.candidates]
+    missing = [n for n in names if n not in considered]
+    if missing:
+        raise InputError([f"{n}: nothing was measured there that a recorded command moves." for n in missing])
+    v, chosen = diagnosis.verdict, set(names)
+    axes = [_with_set(axis, chosen) for axis in diagnosis.axes]
+    on_axes = [axis for axis in axes if axis.part.axis != BALL]
+    rolls = bool(v.ball and chosen) and not any(axis.own(chosen) for axis in on_axes)
+    unit = "m" if rolls else diagnosis.model.rig.position_unit
+    if chosen == set(v.effects):
+        final, after, last = diagnosis.model, v.ball[2] if rolls else v.after, v.plays[2]
+    else:
+        final = with_refits(diagnosis.base_model, axes, chosen)
+        near, far = (compared(final, p if v.ball else [without_ball(q) for q in p]) for p in (plays, held))
+        after = errors_of(near, far, None if rolls else left_out_error(on_axes, chosen), unit)
+        (last,) = play_errors(plays, held, [near], [far])
+    given, before = v.ball[:2] if rolls else (v.given, v.before)
+    values = final.values()
+    fitted = [n for axis in axes for n in (*axis.part.base, *(p for c in axis.own(chosen) for p in c.parameters))]
+    doubts = tuple(text for axis in axes for text in _doubts(axis, chosen))
+    return Addition(
+        tuple(names), final, given, before, after, (*v.plays[:2], last), {n: values[n] for n in fitted}, doubts, unit,
+        v.rig_against_itself,
+    )  # fmt: skip
+
+
+def _with_set(axis: AxisDiagnosis, names: Collection[str]) -> AxisDiagnosis:
+    """The axis with a refit of these effects, and what it predicts of stretches of time that were left out."""
+    own = axis.own(names)
+    refit = axis.acting(names)
+    if set(refit.effects) != {c.name for c in own}:
+        refit = _fitted(axis, own)
+        axis = replace(axis, refits=(*axis.refits, refit))
+    if any(set(h.refit.effects) == set(refit.effects) for h in axis.hypotheses):
+        return axis
+    return replace(axis, hypotheses=(*axis.hypotheses, hypothesis(axis.search, refit)))
+
+
+def _fitted(axis: AxisDiagnosis, candidates: Sequence[Candidate]) -> Refit:
+    """A set that the search did not try: one effect after the other on top of the best of those that it did."""
+    search, names = axis.search, {c.name for c in candidates}
+    best = min((r for r in (axis.base, *axis.refits) if set(r.effects) <= names), key=lambda r: r.cost)
+    start = best.cost
+    for candidate in (c for c in candidates if c.name not in best.effects):
         search.settle_at(best)
         on = tuple(search.library.find(n) for n in best.effects)
-        looks = search.looks([best], [candidate])[:STARTS]
-        best = search.best_of([((*on, candidate), look.values) for look in looks], ROUNDS)[0]
-    return best
+        points = search.trial_points([best], [candidate])[:STARTS]
+        best = search.best_of([((*on, candidate), point.values) for point in points], ROUNDS)[0]
+    return replace(best, converged=best.cost <= MISFITTED * start)
+
+
+def _doubts(axis: AxisDiagnosis, names: Collection[str]) -> list[str]:
+    """What is doubtful about the refit of these effects on one axis."""
+    search, own = axis.search, axis.own(names)
+    refit = axis.acting(names)
+    columns = search.fitted(refit)
+    low, high = search.low[columns], search.high[columns]
+    near = np.minimum(refit.values[columns] - low, high - refit.values[columns]) < AT_BOUND * (high - low)
+    # A drive's value that stays as stated is no finding; an effect's that stays switched off is one.
+    kept = np.abs(refit.values - search.start)[columns] < AT_BOUND * (high - low)
+    near &= ~kept | (np.array(columns) >= len(search.library.base))
+    said = [
+        f"{search.library.names[i]} lies at its bound, {refit.values[i]:.4g}: the truth may lie beyond, or it stands "
+        "in for something else."
+        for i in np.array(columns)[near]
+    ]
+    if own and not refit.converged:
+        said.append(f"The fit of {' + '.join(refit.effects)} has not converged: other values may fit better.")
+    return said

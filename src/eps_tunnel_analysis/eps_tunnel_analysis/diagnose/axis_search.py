@@ -1,40 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One axis at a time: its signals, its candidates, and the refits of all of them.
+"""What belongs to one axis, and the search over its candidates."""
 
-Axes hardly couple, so an axis whose signals the model explains needs no candidates, and the others are searched with
-half the values.
-"""
-
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, part_name, values_of
-from eps_tunnel_analysis.diagnose.base_refit import base_starts
 from eps_tunnel_analysis.diagnose.candidates import Library, library
-from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit
-from eps_tunnel_analysis.diagnose.samples import begun, floors, kept_samples, steady_efforts
-from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Search
-from eps_tunnel_analysis.fit.free import by_axis, default_free
-from eps_tunnel_analysis.fit.objective import Objective
-from eps_tunnel_analysis.plays import Play
-from labyrinth_sim.effect import rivals
+from eps_tunnel_analysis.diagnose.evidence import Evidence, PlayEvidence, play_evidence
+from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Level, Search
+from eps_tunnel_analysis.fit.cluster import Spread
+from eps_tunnel_analysis.fit.problem import by_axis, default_free, full_name
+from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.stamped import setpoints
+from labyrinth_sim.build import axes_couple, compiled
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
-from labyrinth_sim.rig import BALL_SIGNALS
+from labyrinth_sim.rig import BALL_SIGNALS, Axis
+from labyrinth_sim.trials import Array
 
-COARSE = 0.005  # s, MuJoCo's step while searching
-FINE = 0.0025  # s, where that errs
-EXACT = 0.00125  # s, while judging; at 2.5 ms a torque that saturates in quick motion errs by half a floor
-REBASED = 3  # refits whose base values are sought anew, each from
-REBASE_STARTS = 3  # starts, its own among them
-SHORTLIST = 12  # candidates refitted from their looks
-LOOKS_EACH = 2
-ROUNDS = 6
+STEPS: Mapping[Level, float] = {"coarse": 0.005, "fine": 0.0025, "exact": 0.00125}
+"""s between the steps of roll-outs: to search, where that errs, and to judge"""
+BEGUN = 0.25  # s after the start, before which nothing is compared: a roll-out starts where sensors say
+TURN = 0.05  # s over which a change of the command's speed counts as one
+SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
+SETTLED = 0.25  # s after which a motion is steady again
+EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves, but no less than
+LOAD_STEP = 0.001  # of the servo's full torque
+EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
+MOVES = 1e-3  # rad; a command that spans less excites nothing
 
-Progress = Callable[[str, int], None]
-"""Told what is being done and how many roll-outs were made."""
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """What is passed along in one diagnosis.
+
+    Attributes:
+        only: names of the effects to consider; None for the whole library.
+        nthread: 0 for one per CPU; the answer does not depend on it.
+        progress: called now and then with what is being done and how many roll-outs this search has made.
+        spread: has roll-outs done elsewhere; None for this machine.
+    """
+
+    only: tuple[str, ...] | None = None
+    nthread: int = 0
+    progress: Callable[[str, int], None] | None = None
+    spread: Spread | None = None
 
 
 @dataclass(frozen=True)
@@ -45,26 +60,68 @@ class AxisPart:
         axis: its short name.
         signals: compared; positions first, then efforts.
         base: full names of the values refitted with every candidate.
+        rough: how many of them, the last ones, are known roughly: they are moved only once the others fit.
     """
 
     axis: str
     signals: tuple[str, ...]
     base: tuple[str, ...]
+    rough: int = 0
 
 
 def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
-    """Every axis that has a signal in all plays."""
+    """Every axis that has a position in all plays."""
     known = {name for play in plays for name in play.known}
     known |= values_of(model)  # shows in the ball alone
-    names = [n for n in default_free(model) if n not in known and not _silent_integral(model, n)]
-    base = {part.axis: part.free for part in by_axis(model, names, plays, None)}
+    shared = [s for s in model.rig.signals if all(s in play.trials.signals for play in plays)]
+    default = default_free(model, signals=shared)
+    free = [n for n in default if n not in known and not _silent_integral(model, n)]
+    base = {part.axis: part.free for part in by_axis(model, free, plays, None)}
     parts = []
     for axis in model.rig.axes:
         seen = [m for m in axis.measured if all(m.signal in p.trials.signals for p in plays)]
         chosen = [m.signal for q in ("position", "torque") for m in seen if m.quantity == q]
         if any(m.quantity == "position" for m in seen):
-            parts.append(AxisPart(axis.name, tuple(chosen), tuple(base.get(axis.name, ()))))
+            own = tuple(base.get(axis.name, ()))
+            rough = tuple(n for n in rough_values(model, axis) if n not in known and n not in own)
+            parts.append(AxisPart(axis.name, tuple(chosen), own + rough, len(rough)))
     return parts
+
+
+def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
+    """What a model states of an axis and nobody knows well: the drive's limits, the inertia that it turns, its belt.
+
+    What is stated as nothing stays so, but for what the drive itself declares.
+    """
+    mj = compiled(model, with_ball=False).mj
+    body = mj.body(int(mj.joint(axis.load).bodyid[0])).name
+    names = [f"body.{body}.mass", f"joint.{axis.load}.armature", f"joint.{axis.load}.damping"]
+    names += [f"body.{body}.inertia"] if axes_couple(model) else []  # else the armature does the same
+    names += [f"belt.{axis.belt}.{p}" for p in ("stiffness", "damping")] if axis.belt else []
+    values = model.values()
+    own = [full_name(axis, name) for name in model.drives[axis.name].kind.uncertain]
+    return (*own, *(n for n in names if n not in own and values.get(n, 0.0) > 0.0))
+
+
+def moved_parts(model: Model, parts: Sequence[AxisPart], plays: Sequence[Play]) -> list[AxisPart]:
+    """The axes that a recorded command moves. Raises InputError where there is none."""
+    moved = [p for p in parts if _is_moved(model, p, plays)]
+    if not moved:
+        raise InputError(
+            "No recorded command moves an axis whose position is measured, so no effect can be seen. "
+            "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
+        )
+    return moved
+
+
+def _is_moved(model: Model, part: AxisPart, plays: Sequence[Play]) -> bool:
+    channel = next(axis.command for axis in model.rig.axes if axis.name == part.axis)
+    spans = [np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in (_commands(p, channel) for p in plays)]
+    return max(spans) > MOVES
+
+
+def _commands(play: Play, channel: str) -> Array:
+    return np.asarray(play.trials.commands[:, :, play.trials.command_channels.index(channel)])
 
 
 def ball_part() -> AxisPart:
@@ -77,118 +134,63 @@ def _silent_integral(model: Model, name: str) -> bool:
     return name.startswith("drive.") and name.endswith(".i") and model.values()[name] == 0.0
 
 
-def axis_search(
-    model: Model,
-    plays: Sequence[Play],
-    part: AxisPart,
-    only: Sequence[str] | None = None,
-    nthread: int = 0,
-    told: Progress | None = None,
-) -> Search:
+def axis_search(model: Model, plays: Sequence[Play], part: AxisPart, run: SearchOptions) -> Search:
     """A search over the candidates of one axis."""
-    whole = library(model, part.base, part.axis == BALL, only)
-    mine = tuple(c for c in whole.candidates if c.axes == (part.axis,))
+    whole = library(model, part.base, part.axis == BALL, run.only)
+    own = tuple(c for c in whole.candidates if c.axes == (part.axis,))
     if part.axis == BALL:
-        mine = tuple(replace(c, axes=()) for c in whole.candidates if on_ball(c.effect))
+        own = tuple(replace(c, axes=()) for c in whole.candidates if on_ball(c.effect))
     for candidate in whole.candidates:
-        if candidate.name not in [c.name for c in mine]:
+        if candidate.name not in [c.name for c in own]:
             whole = replace(whole, model=whole.model.without_effect(candidate.effect.name, candidate.place))
-    lib = Library(whole.model, part.base, mine)
-    steps: dict[Level, float] = {"coarse": COARSE, "fine": FINE, "exact": EXACT}
-    levels = {k: Objective(lib.model, lib.names, plays, part.signals, step, nthread) for k, step in steps.items()}
-    objective = levels["coarse"]
-    torque = [m.signal for m in model.rig.measured if m.quantity == "torque"]
-    channel = next((axis.command for axis in model.rig.axes if axis.name == part.axis), "")
-    used = np.flatnonzero(~np.isin(objective.blocks % len(part.signals), efforts := _columns(part.signals, torque)))
-    if efforts:
-        used = np.sort(np.concatenate([used, steady_efforts(objective, plays, channel, efforts)]))
-    used = used[begun(objective, plays)[used]]
-    full = model.values().get(f"drive.{part.axis}.torque", 0.0)
-    scale = floors(objective, plays, efforts, channel, full)
+    return search_of(Library(whole.model, part.base, own, part.rough), plays, part, run)
+
+
+def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOptions) -> Search:
+    """A search over a library's candidates."""
+    seen = [play_evidence(lib.model, play, part.signals) for play in plays]
+    # The drive's own ticks make the misfit rough wherever stiction lets it rest at any place within one.
+    smooth = lib.model.with_values({n: 0.0 for n in lib.model.values() if n.endswith(".feedback_tick")}, "smoothed")
+    models: dict[Level, Model] = {"coarse": smooth, "fine": smooth, "exact": lib.model}
+    many = (run.nthread, run.spread)
+    levels = {k: Evidence(models[k], lib.names, seen, part.signals, step, *many) for k, step in STEPS.items()}
+    evidence = levels["coarse"]
+    channel = next((axis.command for axis in lib.model.rig.axes if axis.name == part.axis), "")
+    torques = {m.signal for m in lib.model.rig.measured if m.quantity == "torque"}
+    efforts = [i for i, name in enumerate(part.signals) if name in torques]
+    scale, used = evidence.floor.copy(), evidence.time >= BEGUN
+    full = lib.model.values().get(f"drive.{part.axis}.torque", 0.0)
+    for number, play in enumerate(seen):
+        calm = _steady(play, channel) if efforts else np.ones(0, dtype=bool)
+        for column in efforts:
+            here = evidence.blocks == number * len(part.signals) + column
+            still = calm[np.minimum((evidence.time[here] / play.width).astype(int), len(calm) - 1)]
+            used[here] &= still
+            values = evidence.mean[here]
+            size = float(np.sqrt(np.mean(values[still] ** 2))) if still.any() else 0.0
+            least = max(EFFORT_STEP * float(np.abs(values).max(initial=0.0)), LOAD_STEP * full)
+            scale[here] = np.sqrt(scale[here] ** 2 + least**2 + (EFFORT_SHARE * size) ** 2)
     if part.axis == BALL:
-        scale = np.hypot(scale, inexactness(objective.samples * plays[0].trials.step))
-    kept = kept_samples(objective, plays)
-    count = partial(told, part_name(part.axis)) if told else None
-    return Search(lib, levels, scale, kept, used, count, BALL_DIFFERENCE if part.axis == BALL else DIFFERENCE)
+        scale = np.hypot(scale, inexactness(evidence.time))
+    count = partial(run.progress, part_name(part.axis)) if run.progress else None
+    difference = BALL_DIFFERENCE if part.axis == BALL else DIFFERENCE
+    return Search(lib, levels, scale, np.flatnonzero(used), count, difference)
 
 
-def _columns(signals: Sequence[str], which: Sequence[str]) -> list[int]:
-    return [i for i, name in enumerate(signals) if name in which]
+def _steady(play: PlayEvidence, channel: str) -> NDArray[np.bool_]:
+    """For each bin of a play whether the command has kept its speed for a while: at rest, on ramps.
 
-
-def next_refits(search: Search, on: Sequence[Refit], shortlist: int = SHORTLIST, unless: float = np.inf) -> list[Refit]:
-    """Every candidate refitted on top of refits: looks, then descents of the most promising; best first.
-
-    Args:
-        on: the best first; where several effects act, one of them alone may not be what explains most.
-        unless: nothing is refitted where no look promises less than this share of the best one's cost.
+    Elsewhere a drive's effort is inertia, sampled once between the beats of a controller: not comparable.
     """
-    search.settle_at(on[0])
-    size = len(search.library.base)
-    nominal = on[0].values.copy()
-    nominal[:size] = search.start[:size]
-    points = [on[0], *(search.at(other.values, other) for other in on[1:])]
-    # Base values that made up for the missing effect lie in the wrong valley; the model's own may not.
-    if not np.allclose(nominal, on[0].values) or on[0].effects:
-        points.append(search.at(nominal, on[0]))
-    looks = search.looks(points, search.library.candidates)
-    if looks and looks[0].promised > unless * on[0].cost:
-        return []
-    return _rebased(search, search.best_of(_jobs(search, points, looks, shortlist), ROUNDS))
+    return is_steady(setpoints(play.trials, channel, play.width, int(play.seconds / play.width) + 1), play.width)
 
 
-def _jobs(search: Search, points: Sequence[Refit], looks: Sequence[Look], shortlist: float) -> list[Job]:
-    """The best looks of each of the `shortlist` most promising sets, to be fitted on top of `points`.
-
-    A set starts from every point that leads to it, for the base that fits best without an effect may lie in a valley
-    where the effect does not help.
-    """
-    chosen: dict[frozenset[str], list[Look]] = {}
-    for look in looks:
-        name = frozenset([*points[look.on].effects, look.candidate.name])
-        if name in chosen or len(chosen) < shortlist:
-            chosen.setdefault(name, []).append(look)
-    jobs: list[Job] = []
-    for same in chosen.values():
-        first = [look for i, look in enumerate(same) if look.on not in [other.on for other in same[:i]]]
-        for look in (first if len(first) > 1 else same)[:LOOKS_EACH]:
-            fitted = tuple(search.library.find(name) for name in points[look.on].effects)
-            jobs.append(((*fitted, look.candidate), look.values))
-    return jobs
-
-
-def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
-    """The refits, the best of them descended again from other base values: those found may lie in a wrong valley.
-
-    The others' base values are among those tried: whatever is missing, the drive is the same.
-    """
-    again: dict[frozenset[str], Refit] = {frozenset(refit.effects): refit for refit in refits}
-    size = len(search.library.base)
-    jobs: list[Job] = []
-    for refit in refits[:REBASED] if size else ():
-        points = base_starts(search, refit.values, REBASE_STARTS)[1:]
-        others = [np.concatenate([r.values[:size], refit.values[size:]]) for r in refits[:REBASED] if r is not refit]
-        jobs += [(tuple(search.library.find(n) for n in refit.effects), point) for point in (*points, *others)]
-    for refit in search.best_of(jobs, ROUNDS) if jobs else []:
-        if refit.overall < again[frozenset(refit.effects)].overall:
-            again[frozenset(refit.effects)] = refit
-    return sorted(again.values(), key=lambda r: (r.cost, r.effects))
-
-
-def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
-    """The refit with each of its effects replaced by those that it is mistaken for, where that was not tried yet."""
-    known = {frozenset(r.effects) for r in tried}
-    jobs: list[Job] = []
-    for name in best.effects:
-        others = tuple(search.library.find(n) for n in best.effects if n != name)
-        mistaken = rivals(name.partition(".")[0])
-        candidates = [c for c in search.library.candidates if c.effect.name in mistaken and c.name not in best.effects
-                      and frozenset([*(o.name for o in others), c.name]) not in known]  # fmt: skip
-        if not candidates:
-            continue
-        without = best.values.copy()
-        columns = search.columns(search.library.find(name))
-        without[columns] = search.start[columns]
-        rest = replace(search.at(without, best), effects=tuple(o.name for o in others))
-        jobs += _jobs(search, [rest], search.looks([rest], candidates), np.inf)
-    return search.best_of(jobs, ROUNDS) if jobs else []
+def is_steady(command: Array, step: float) -> NDArray[np.bool_]:
+    """(T,) whether a command (T,) rad, NaN where the drive is off, has kept its speed for a while."""
+    held = np.where(np.isfinite(command), command, 0.0)
+    span = max(1, round(TURN / step))
+    speed = np.gradient(held, step) if len(held) > 1 else np.zeros_like(held)
+    turn = maximum_filter1d(speed, span) - minimum_filter1d(speed, span)
+    busy = turn > SPEED_CHANGE * max(float(np.ptp(held)), 1e-9)
+    recent = max(1, round(SETTLED / step))
+    return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)

@@ -4,13 +4,13 @@
 It is judged last, by the model whose axes are found already: a ball that rolls integrates their tilt twice.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from eps_tunnel_analysis.plays import Play
-from labyrinth_sim.effect import Effect, effects
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.effect import Effect
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
@@ -32,11 +32,10 @@ def on_ball(effect: Effect) -> bool:
     return effect.where == "ball" or "ball" in effect.needs
 
 
-def split(only: Iterable[str] | None) -> tuple[list[str], list[str]]:
-    """Names of effects to consider on the axes and on the ball."""
-    known = effects()
+def split(only: Iterable[str] | None, known: Mapping[str, Effect]) -> tuple[list[str], list[str]]:
+    """Names of effects to consider, of those `known`, on the axes and on the ball."""
     names = list(known if only is None else only)
-    mine = [n for n in names if n in known and on_ball(known[n])]
+    mine = [n for n in names if (own := known.get(n.partition(".")[0])) and on_ball(own)]
     return [n for n in names if n not in mine], mine
 
 

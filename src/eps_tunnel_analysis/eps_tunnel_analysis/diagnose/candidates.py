@@ -5,19 +5,20 @@ At its off values an effect changes nothing, bit for bit, so roll-outs of all ca
 and travel in one batch.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labyrinth_sim.effect import Effect, Parameter, effects
+from labyrinth_sim.effect import Effect, Parameter, Size
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
 FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
 LIMITS = 7  # values of a limit, as of a torque's
-TICKS = 128  # 2.7 % apart, for the valley of a tick is some 4 % wide
+TICKS = 76  # 5.4 % apart, for the valley of a tick is some 4 % wide, and its edges are seen
+FINEST_TICK = 0.05  # of the typical one
 BALL_VALUES = 25
 
 
@@ -28,13 +29,22 @@ class Candidate:
     Attributes:
         effect, place: as in `backlash.x.width`.
         axes: short names of the axes whose signals it can change; empty for the ball.
-        parameters: full names of its parameters.
+        parameters: full names of its fitted parameters.
+        given: its other parameters by short name, as the range of a curve.
+        size: of the axis, by which its parameters' bounds and typical values grow.
     """
 
     effect: Effect
     place: str
     axes: tuple[str, ...]
     parameters: tuple[str, ...]
+    given: Mapping[str, float] = field(default_factory=dict)
+    size: Size = field(default_factory=Size)
+
+    @property
+    def declared(self) -> tuple[Parameter, ...]:
+        """Declarations of the fitted parameters, for an axis of this size."""
+        return tuple(p.sized(self.size) for p in self.effect.parameters if p.fitted)
 
     @property
     def name(self) -> str:
@@ -50,11 +60,13 @@ class Library:
         model: the user's model with every candidate at its off values.
         base: full names of the values that are refitted with every candidate.
         candidates: in the library's order.
+        rough: how many of the base values, the last ones, are known roughly and are moved last.
     """
 
     model: Model
     base: tuple[str, ...]
     candidates: tuple[Candidate, ...]
+    rough: int = 0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,24 +87,50 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
     Args:
         base: full names of the values refitted with every candidate.
         with_ball: whether effects on the ball are candidates.
-        only: effect names to consider; all by default.
+        only: names of effects to consider, `backlash` or at one place `backlash.x`; by default all that the model's
+            registry knows but free curves.
+
+    Raises:
+        InputError: a name that it does not know.
     """
-    known = effects()
-    unknown = [unknown_name("effect", name, known) for name in only or () if name not in known]
-    if unknown:
-        raise InputError(unknown)
+    model.registry.check(only or ())
     present = {(use.effect.name, use.place) for use in model.effects}
     found: list[Candidate] = []
-    for effect in known.values():
-        if (only is not None and effect.name not in set(only)) or (effect.where == "ball" and not with_ball):
+    chosen = None if only is None else set(only)
+    for effect in model.registry.effects.values():
+        if effect.nameless and chosen is None:
+            continue
+        if effect.where == "ball" and not with_ball:
             continue
         for place in model.places(effect):
-            if (effect.name, place) in present:
+            wanted = chosen is None or effect.name in chosen or f"{effect.name}.{place}" in chosen
+            if not wanted or (effect.name, place) in present:
                 continue
             model = model.with_effect(effect, place, effect.off, "switched off")
-            parameters = tuple(f"{effect.name}.{place}.{p.name}" for p in effect.parameters)
-            found.append(Candidate(effect, place, axes_of(model, effect, place), parameters))
+            found.append(candidate(model, effect, place))
     return Library(model, tuple(base), tuple(found))
+
+
+def candidate(model: Model, effect: Effect, place: str, given: Mapping[str, float] | None = None) -> Candidate:
+    """An effect at a place as a candidate; `given` are its parameters that are not fitted, typical unless stated."""
+    parameters = tuple(f"{effect.name}.{place}.{p.name}" for p in effect.parameters if p.fitted)
+    size = model.size(place)
+    kept = {p.name: p.sized(size).typical for p in effect.parameters if not p.fitted} | dict(given or {})
+    return Candidate(effect, place, axes_of(model, effect, place), parameters, kept, size)
+
+
+def with_curves(lib: Library, ranges: Mapping[tuple[str, str], Mapping[str, float]]) -> Library:
+    """A library with free curves as further candidates.
+
+    Args:
+        ranges: (free curve, place) -> the range that it covers, as `law.added_force.visited` finds it.
+    """
+    model, found = lib.model, list(lib.candidates)
+    for (name, place), given in ranges.items():
+        effect = model.registry.effect(name)
+        model = model.with_effect(effect, place, {**effect.off, **given}, "switched off")
+        found.append(candidate(model, effect, place, given))
+    return replace(lib, model=model, candidates=tuple(found))
 
 
 def axes_of(model: Model, effect: Effect, place: str) -> tuple[str, ...]:
@@ -111,10 +149,14 @@ def starts(candidate: Candidate) -> Array:
     period, a characteristic speed) at a few places between their bounds. Delay and backlash have kinks and valleys, so
     one start is never enough.
     """
-    declared = candidate.effect.parameters
+    declared = candidate.declared
+    if candidate.effect.nameless:  # a table's values act one by one and in proportion
+        return np.array([[p.off or 0.0 for p in declared]])
     if is_tick(candidate):  # rounding fits at one value and hardly beside it
-        ticks = np.tile([p.typical for p in declared], (TICKS, 1))
-        ticks[:, 0] *= np.geomspace(0.1, 3.0, TICKS)
+        rows = [[p.typical for p in declared]]
+        rows += [[*rows[0][:k], p.high, *rows[0][k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low]
+        ticks = np.repeat(rows, TICKS, axis=0)
+        ticks[:, 0] *= np.tile(np.geomspace(FINEST_TICK, 3.0, TICKS), len(rows))
         return ticks
     if not candidate.axes and len(declared) == 1:  # of the ball: walls make the misfit rough
         spread = np.linspace(declared[0].low, declared[0].high, BALL_VALUES)[:, None]

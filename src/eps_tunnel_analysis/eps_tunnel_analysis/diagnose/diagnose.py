@@ -1,37 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnosis: recordings and a model in, a verdict with its evidence out."""
+"""The diagnosis: recordings and a model in, a verdict with its evidence out. docs/diagnosis.md goes the same way."""
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from eps_tunnel_analysis.compare import Comparison, compare
-from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_parts, ball_part
+from eps_tunnel_analysis.compare import Comparison
+from eps_tunnel_analysis.diagnose.axes import axis_verdict, fitted_names, left_out_error, together, with_refits
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, diagnose_axis, floor_known
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, ball_part, moved_parts
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
-from eps_tunnel_analysis.diagnose.bases import fitted_bases
-from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
+from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.doubts import doubts
+from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors, rig_against_itself
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
-from eps_tunnel_analysis.diagnose.refit import Refit
-from eps_tunnel_analysis.diagnose.samples import kept_of
-from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, decide, sentence
-from eps_tunnel_analysis.plays import Play
-from eps_tunnel_analysis.rollout import roll_out
-from labyrinth_sim.errors import InputError
+from eps_tunnel_analysis.diagnose.notes import notes_of
+from eps_tunnel_analysis.diagnose.progress import RolloutCount, RolloutProgress, expected_rollouts
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.verdict import Verdict, decide, sentence
+from eps_tunnel_analysis.fit.cluster import Spread
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
-from labyrinth_sim.rig import BALL_SIGNALS
-from labyrinth_sim.trials import Array
+from labyrinth_sim.shown import shown
 
-KS = (1.0, 2.0, 3.0, 5.0)
-SHORTEST = 0.05  # s, of a span outside the tunnel that is told
-WORTH_TELLING = 0.2  # of an axis's misfit
-MOVES = 1e-3  # rad; a command that spans less excites nothing
+SHORTEST = 0.05  # s, of a span outside the tunnel that is listed
 
 
+@shown
 @dataclass(frozen=True)
 class Diagnosis:
     """The verdict, the models and comparisons behind it, axis by axis.
@@ -58,203 +53,91 @@ def diagnose(
     seed: int = 0,
     only: Sequence[str] | None = None,
     nthread: int = 0,
-    told: Progress | None = None,
+    progress: RolloutProgress | None = None,
     experiments: bool = True,
-    once: Mapping[str, float] | None = None,
+    levels: Mapping[str, float] | None = None,
     held: Sequence[Play] = (),
+    spread: Spread | None = None,
 ) -> Diagnosis:
     """Names what a model lacks.
 
     Args:
         model: as far as it is known; its drives' values need not be right.
         plays: recorded commands with their trials.
-        seed: kept with the result; nothing is drawn at random.
+        seed: kept with the result; nothing is drawn that depends on it.
         only: names of effects to consider; the whole library by default.
-        once: axis -> mean square in units of the noise floor before effects were added in earlier steps.
-        held: plays that are never fitted, for the held-out error; without them it is that of samples kept back.
+        progress: called with what is being done, how many roll-outs were made, and of about how many.
+        levels: axis -> mean square in units of the noise floor before effects were added in earlier steps.
+        held: plays that are never fitted, for the held-out error; without them stretches of time are left out in turn.
         experiments: look for the experiment that decides, where the recordings do not.
+        spread: has roll-outs done elsewhere, as `fit.cluster.cluster` gives it; the answer does not depend on it.
 
     Raises:
         InputError: no axis with a measured position and a command that moves it, unknown effect names.
     """
     started = time.monotonic()
-    on_axes, on_ball = split(only)
+    on_axes, on_ball = split(only, model.registry.effects)
     rolls = bool(on_ball) and sees_ball(model, plays)
     alone = [without_ball(p) for p in plays]
     parts = axis_parts(model, alone)
-    moved = [p for p in parts if is_moved(model, p, alone)]
-    if not moved:
-        raise InputError(
-            "No recorded command moves an axis whose position is measured, so no effect can be seen. "
-            "Play a sequence that moves every axis, config/sequences/excite_12s.yaml for one."
-        )
-    left, names = once or {}, on_axes if rolls else only
-    bases = fitted_bases(model, alone, moved, names, nthread, told)
-    axes = tuple(diagnose_axis(model, alone, p, names, nthread, told, left.get(p.axis, 0.0), bases) for p in moved)
+    moved = moved_parts(model, parts, alone)
+    effects = len(on_axes) if only is not None else len(model.registry.effects)
+    count = RolloutCount(progress, expected_rollouts([(len(p.base), effects) for p in moved])) if progress else None
+    run = SearchOptions(tuple(on_axes) if only is not None else None, nthread, count, spread)
+
+    # Each axis by itself, the others moving as they do.
+    bases = fitted_bases(model, alone, moved, run)
+    axes = [diagnose_axis(model, alone, part, run, (levels or {}).get(part.axis, 0.0), bases) for part in moved]
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.
-        found = set(decide(_together(axes), CALIBRATION.coverage)[1])
-        tilted = _with(model, axes, {a.part.axis: _refit_of(a, found) for a in axes})
-        axes += (diagnose_axis(tilted, plays, ball_part(), on_ball, nthread, told, left.get(BALL, 0.0)),)
-    probabilities = _together(axes)
-    kind, named, stated = decide(probabilities, CALIBRATION.coverage)
-    missing = {c.name: axis.base.overall for axis in axes for c in axis.search.library.candidates}
+        found = set(decide(together(axes), SETTINGS.coverage)[1])
+        tilted = with_refits(model, axes, found)
+        before = (levels or {}).get(BALL, 0.0)
+        axes.append(diagnose_axis(tilted, plays, ball_part(), replace(run, only=tuple(on_ball)), before))
+
+    # What is missing in all, and the models with and without it.
+    probabilities = together(axes)
+    kind, named, stated = decide(probabilities, SETTINGS.coverage)
+    missing = {c.name: axis.base.cost for axis in axes for c in axis.search.library.candidates}
     named = tuple(sorted(named, key=lambda name: -missing[name]))
-    base_model = _with(model, axes, {})
-    chosen = set(named)
-    final = _with(model, axes, {a.part.axis: _refit_of(a, chosen) for a in axes})
-    given, before, after = (compared(m, plays if rolls else alone) for m in (model, base_model, final))
-    judged = [compared(m, held if rolls else [without_ball(p) for p in held]) for m in (model, base_model, final)]
-    doubted = [d for a in axes[: len(moved)] if kind == "unknown" and _unexplained(a)
-               for d in doubts(bases.among(model, a.part.axis), alone, a, nthread, told)]  # fmt: skip
+    base_model, final = with_refits(model, axes, ()), with_refits(model, axes, named)
+
+    # How far each is from the recordings.
+    shown = plays if rolls else alone
+    models = (model, base_model, final)
+    near = [compared(m, shown) for m in models]
+    far = [compared(m, held if rolls else [without_ball(p) for p in held]) for m in models]
+    left_out = (None, *(left_out_error(axes[: len(moved)], names) for names in ((), named)))
+    unit = model.rig.position_unit
+    errors = [errors_of(c, h, left, unit) for c, h, left in zip(near, far, left_out, strict=True)]
+
+    # What to do next.
+    doubted = [d for a in axes[: len(moved)] if kind == "unknown" and a.best.cost > SETTINGS.healthy
+               for d in doubts(bases.among(model, a.part.axis), alone, a, run)]  # fmt: skip
     experiment = None
     if experiments and kind == "undecided":
         experiment = next_experiment(axes[: len(moved)], base_model, stated, floor_known(plays))
-    evaluations = bases.evaluations + sum(axis.search.evaluations for axis in axes)
+    said = {a.part.axis: axis_verdict(a, named) for a in axes}
     verdict = Verdict(
         verdict=kind,
         effects=named,
         set=probabilities,
         stated=stated,
-        coverage=CALIBRATION.coverage,
-        sentence=sentence(kind, named, stated, probabilities, floor_known(plays), _partly(axes)),
-        where=tuple(s for c in before for s in c.spans if s.end - s.start >= SHORTEST),
-        given=errors_of(given, judged[0]),
-        before=errors_of(before, judged[1]),
-        after=errors_of(after, judged[2]),
-        ball=tuple(errors_of(c, h, "m") for c, h in zip((given, before, after), judged, strict=True)) if rolls else (),
-        floor={a.part.axis: (a.base.overall, _refit_of(a, chosen).overall) for a in axes},
-        ranking={a.part.axis: a.ranking for a in axes},
-        values={n: v for n, v in final.values().items() if n in _fitted(axes, chosen)},
+        coverage=SETTINGS.coverage,
+        sentence=sentence(kind, named, stated, probabilities, said, model.registry, floor_known(plays)),
+        where=tuple(s for c in near[1] for s in c.spans if s.end - s.start >= SHORTEST),
+        given=errors[0],
+        before=errors[1],
+        after=errors[2],
+        ball=tuple(errors_of(c, h, None, "m") for c, h in zip(near, far, strict=True)) if rolls else (),
+        plays=play_errors(plays, held, near, far, unit),
+        rig_against_itself=rig_against_itself(near[0]),
+        axes=said,
+        values={n: v for n, v in final.values().items() if n in fitted_names(axes, named)},
         seed=seed,
-        evaluations=evaluations,
+        evaluations=bases.evaluations + sum(axis.search.evaluations for axis in axes),
         seconds=time.monotonic() - started,
         next_experiment=experiment.name if experiment else None,
-        notes=(*(d.sentence for d in doubted), *_notes(model, parts, moved, plays, axes[: len(moved)])),
+        notes=(*(d.sentence for d in doubted), *notes_of(model, parts, moved, plays, axes[: len(moved)])),
     )
-    return Diagnosis(verdict, axes, base_model, final, given[0], before[0], after[0], experiment)
-
-
-def _together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
-    """Probabilities of what is missing on all axes.
-
-    Where one axis lacks an effect, uneven timing alone makes no unknown of the others; a sentence tells it.
-    """
-    likely = [max(axis.probabilities, key=lambda name: axis.probabilities[name]) for axis in axes]
-    named = any(name not in (NONE, UNKNOWN) for name in likely)
-    return joint([axis.timed if named else axis.probabilities for axis in axes])
-
-
-def _unexplained(axis: AxisDiagnosis) -> bool:
-    """Whether more is left on an axis than noise."""
-    return axis.best.overall > CALIBRATION.gate
-
-
-def _partly(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
-    """For each axis that lacks something: the likeliest effects, and which share of its misfit they take away."""
-    found = {}
-    for axis in (a for a in axes if a.base.overall > CALIBRATION.gate):
-        most = next((ranked for ranked in axis.ranking if ranked.effects), None)
-        if most and most.explained >= WORTH_TELLING:
-            found[most.name] = most.explained
-    return found
-
-
-def _refit_of(axis: AxisDiagnosis, named: set[str]) -> Refit:
-    """The refit whose effects are those named on this axis; the base where none is."""
-    mine = {c.name for c in axis.search.library.candidates} & named
-    return next((r for r in axis.refits if set(r.effects) == mine), axis.base) if mine else axis.base
-
-
-def _with(model: Model, axes: Sequence[AxisDiagnosis], refits: Mapping[str, Refit]) -> Model:
-    """A model with the refits' effects and values; an axis without one gets its base's values."""
-    for axis in axes:
-        refit = refits.get(axis.part.axis, axis.base)
-        library = axis.search.library
-        values = dict(zip(library.names, (float(v) for v in refit.values), strict=True))
-        for name in refit.effects:
-            candidate = library.find(name)
-            model = model.with_effect(candidate.effect, candidate.place)
-            model = model.with_values({p: values[p] for p in candidate.parameters}, "diagnosis")
-        model = model.with_values({p: values[p] for p in library.base}, "diagnosis")
-    return model
-
-
-def _fitted(axes: Sequence[AxisDiagnosis], named: set[str]) -> set[str]:
-    names: set[str] = set()
-    for axis in axes:
-        names |= set(axis.search.library.base)
-        for effect in _refit_of(axis, named).effects:
-            names |= set(axis.search.library.find(effect).parameters)
-    return names
-
-
-def is_moved(model: Model, part: AxisPart, plays: Sequence[Play]) -> bool:
-    """Whether a recorded command moves an axis."""
-    channel = next(axis.command for axis in model.rig.axes if axis.name == part.axis)
-    spans = [np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in (_commands(p, channel) for p in plays)]
-    return max(spans) > MOVES
-
-
-def _commands(play: Play, channel: str) -> Array:
-    return np.asarray(play.trials.commands[:, :, play.trials.command_channels.index(channel)])
-
-
-def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
-    """A model against each play, positions only, the ball's where it was seen, at the rig's own step."""
-    found = []
-    for play in plays:
-        positions = [m.signal for m in model.rig.measured if m.quantity == "position"]
-        positions += BALL_SIGNALS if sees_ball(model, [play]) else ()
-        names = [name for name in positions if name in play.trials.signals]
-        set_so = model.with_values(dict(play.known), "known of the recording")
-        found.append(compare(play.trials.select(names), roll_out(set_so, play.trials).select(names), KS))
-    return found
-
-
-def errors_of(comparisons: Sequence[Comparison], held: Sequence[Comparison] = (), unit: str = "rad") -> Errors:
-    """Means over plays and signals in this unit; the held-out error over plays that were never fitted, if there are
-    any.
-    """
-    errors = [e.command_error for c in comparisons for e in c.errors if e.unit == unit]
-    kept = []
-    for c in held or comparisons:
-        off = np.abs(c.sim_tunnel.mean - c.real_tunnel.mean)
-        off[:, [u != unit for u in c.real.units]] = np.nan
-        kept.append(np.nanmean(off if held else off[kept_of(len(c.real.time), c.real.step)]))
-    joint_share = float(np.mean([c.alikeness[0].joint for c in comparisons]))
-    return Errors(float(np.nanmean(errors)), float(np.nanmean(kept)), joint_share)
-
-
-def _notes(
-    model: Model,
-    parts: Sequence[AxisPart],
-    moved: Sequence[AxisPart],
-    plays: Sequence[Play],
-    axes: Sequence[AxisDiagnosis],
-) -> tuple[str, ...]:
-    notes = []
-    if any(play.trials.count == 1 for play in plays):
-        notes.append(
-            "One trial only: what the rig repeats is unknown, so effects are weighed against one another, one at a "
-            "time, and whether something unknown is left cannot be said. Record five trials."
-        )
-    for part in parts:
-        if part not in moved:
-            notes.append(f"No command moves axis {part.axis}: none of its effects can be seen. Play excite_12s.")
-    filmed = any(s in play.trials.signals for s in BALL_SIGNALS for play in plays)
-    if model.rig.ball and filmed and not sees_ball(model, plays):
-        notes.append("The ball was not seen where each recording begins, so its effects were not considered.")
-    notes += [odd.sentence for axis in axes for odd in axis.odd]
-    for axis in axes:
-        torque = {m.signal for m in model.rig.measured if m.quantity == "torque"}
-        if not torque & set(axis.part.signals):
-            notes.append(
-                f"Axis {axis.part.axis} has no recorded effort: friction under a stiff drive and dead band look alike."
-            )
-        measured = next(a for a in model.rig.axes if a.name == axis.part.axis).measured
-        positions = [m for m in measured if m.quantity == "position"]
-        seen = {m.joint for m in positions if m.signal in axis.part.signals}
-        if len(seen) < len({m.joint for m in positions}):
-            notes.append(f"Axis {axis.part.axis} has one position only: what lies between motor and load is guesswork.")
-    return tuple(notes)
+    return Diagnosis(verdict, tuple(axes), base_model, final, near[0][0], near[1][0], near[2][0], experiment)

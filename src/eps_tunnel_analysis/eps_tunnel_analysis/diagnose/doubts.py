@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, Progress, axis_search
-from eps_tunnel_analysis.diagnose.base_refit import base_from
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
+from eps_tunnel_analysis.diagnose.base_values import base_from
 from eps_tunnel_analysis.diagnose.search import directions
-from eps_tunnel_analysis.fit.free import by_axis
-from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.fit.problem import by_axis
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 
 PROMISING = 0.1  # of the misfit, to first order
@@ -52,24 +52,22 @@ class Doubt:
         )
 
 
-def doubts(
-    model: Model, plays: Sequence[Play], axis: AxisDiagnosis, nthread: int = 0, told: Progress | None = None
-) -> list[Doubt]:
+def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: SearchOptions) -> list[Doubt]:
     """Values of one axis that explain what its effects do not, the likeliest first.
 
     Args:
         model: that the axis was searched on.
-        told: what is being done and how many roll-outs were made.
     """
-    part, best = axis.part, axis.best
+    best, free = axis.best, len(axis.part.base) - axis.part.rough
+    part = replace(axis.part, base=axis.part.base[:free], rough=0)
     known = {name for play in plays for name in play.known}
     stated = [n for n in model.parameters() if n not in part.base and n not in known]
     held = next((p.free for p in by_axis(model, stated, plays, None) if p.axis == part.axis), ())
     infos = model.parameters()
     found = []
-    for name, value in _promising(model, plays, axis, held, nthread)[:REFITTED] if held else ():
+    for name, value in _promising(model, plays, axis, part, held, run)[:REFITTED] if held else ():
         info = infos[name]
-        search = axis_search(model, plays, _with(part, (name,)), [], nthread=nthread, told=told)
+        search = axis_search(model, plays, _with(part, (name,)), replace(run, only=()))
         last = len(part.base)
         points = np.tile(search.start, (3, 1))
         points[:, :last] = axis.base.values[:last]
@@ -77,24 +75,24 @@ def doubts(
             value = min(max(value, info.value / FARTHEST), info.value * FARTHEST)
         points[:, last] = np.clip([value, 2.0 * info.value, 0.5 * info.value], info.low, info.high)
         refit = base_from(search, list(points))
-        if refit.overall < TELLING * best.overall:
+        if refit.cost < TELLING * best.cost:
             fitted = float(refit.values[last])
-            found.append(Doubt(name, info.unit, info.source, info.value, fitted, best.overall, refit.overall))
+            found.append(Doubt(name, info.unit, info.source, info.value, fitted, best.cost, refit.cost))
     return sorted(found, key=lambda d: d.after)
 
 
 def _promising(
-    model: Model, plays: Sequence[Play], axis: AxisDiagnosis, held: Sequence[str], nthread: int
+    model: Model, plays: Sequence[Play], axis: AxisDiagnosis, part: AxisPart, held: Sequence[str], run: SearchOptions
 ) -> list[tuple[str, float]]:
     """Names, and the value that is best to first order; the most promising first."""
-    search = axis_search(model, plays, _with(axis.part, held), [], nthread=nthread)
-    size = len(axis.part.base)
+    search = axis_search(model, plays, _with(part, held), replace(run, only=(), progress=None))
+    size = len(part.base)
     values = np.clip(search.start, search.low, search.high)  # a mass of 0 is stated as the smallest
     values[:size] = axis.base.values[:size]
-    here = search.at(values, axis.base)
+    here = search.at(values, replace(axis.base, steps=None))
     steps = np.diagonal(search.moved(here) - values)
-    slopes = search.changes(here)[~search.kept]
-    left = here.residuals[~search.kept]
+    slopes = search.changes(here)
+    left = here.residuals
     basis = directions(slopes[:, :size])
     gains = []
     for column, (name, slope) in enumerate(zip(held, slopes[:, size:].T, strict=True), size):

@@ -10,20 +10,18 @@ runs into a stop, by any of the rivals, shows the stop instead.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-import yaml
 
-from eps_tunnel_analysis.diagnose.axis_diagnosis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis_search import SETTLED, is_steady
 from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
-from eps_tunnel_analysis.diagnose.refit import Refit
-from eps_tunnel_analysis.diagnose.samples import SETTLED, is_steady
+from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.sequence import Command
-from eps_tunnel_analysis.sequence_file import SUFFIXES
-from eps_tunnel_analysis.sequence_shapes import Shape
+from eps_tunnel_analysis.sequence_file import sequence_text
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
@@ -56,27 +54,7 @@ class Experiment:
 
     def to_yaml(self, trials: int = 5) -> str:
         """A sequence file, ready to play."""
-        body = {
-            "description": self.reason,
-            "initial_deg": {
-                c: math.degrees(v) for c, v in zip(self.command.channels, self.command.initial, strict=True)
-            },
-            "trials": trials,
-            "command": {
-                c: [_entry(shape) for shape in row]
-                for c, row in zip(self.command.channels, self.command.shapes, strict=True)
-            },
-        }
-        return "# SPDX-License-Identifier: Apache-2.0\n" + yaml.safe_dump(body, sort_keys=False, allow_unicode=True)
-
-
-def _entry(shape: Shape) -> dict[str, dict[str, float]]:
-    body = {}
-    for item in fields(shape):
-        value = getattr(shape, item.name)
-        unit = item.metadata["unit"]
-        body[item.name + SUFFIXES[unit]] = round(math.degrees(value), 6) if unit == "rad" else value
-    return {shape.word: body}
+        return sequence_text(self.command, self.reason, trials)
 
 
 @dataclass(frozen=True)
@@ -130,7 +108,7 @@ def next_experiment(
         known = _harshest(axis, rivals[0].points[0])
         start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
         for name, command in menu(model, axis.part.axis).items():
-            answers, harsh = _answers(axis, rivals, command, 1.0 if floor else math.sqrt(axis.best.overall), known)
+            answers, harsh = _answers(axis, rivals, command, 1.0 if floor else math.sqrt(axis.best.cost), known)
             # The two that stay closest count: what tells a third rival from both decides nothing.
             size = math.sqrt(
                 min(
@@ -157,13 +135,16 @@ def chosen(offers: Sequence[tuple[Experiment, Harsh]]) -> Experiment | None:
 
 def _harshest(axis: AxisDiagnosis, values: Array) -> float:
     """Root mean square jerk of the harshest play so far, rad/s^3, as simulated with these values (K,)."""
-    search = axis.search
-    rolls, model = search.objective.rollouts, search.library.model
-    played = simulate_batch(
-        model, search.library.names, values[None], rolls.time, rolls.commands, {}, per_command=rolls.known,
-        signals=_positions(model), timestep=STEP, nthread=search.objective.nthread,
-    )  # fmt: skip
-    return max(harshness(angles, rolls.time, 3) for angles in played.values[0])
+    evidence, found = axis.search.evidence, [0.0]
+    for number in range(len(evidence.plays)):
+        time = evidence.times(number)
+        played = simulate_batch(
+            evidence.model, evidence.free, values[None], time, evidence.commands[number][None], {},
+            per_command={name: given[[number]] for name, given in evidence.known.items()},
+            signals=_positions(evidence.model), timestep=STEP, nthread=evidence.nthread,
+        )  # fmt: skip
+        found.append(harshness(played.values[0, 0], time, 3))
+    return max(found)
 
 
 def _positions(model: Model) -> tuple[str, ...]:
@@ -216,7 +197,7 @@ def _answers(
     every = (*signals, *(name for name in positions if name not in signals))
     result = simulate_batch(
         model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP,
-        nthread=search.objective.nthread,
+        nthread=search.evidence.nthread,
     )  # fmt: skip
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
     mine = model.rig.axis(axis.part.axis)
@@ -228,7 +209,8 @@ def _answers(
     channel = model.rig.command_channels.index(model.rig.axis(axis.part.axis).command)
     calm = late & is_steady(targets[:, channel], time[1] - time[0])
     parts = [
-        result.values[:, 0, calm if result.units[i] == "N m" else late, i] / floors[i] for i in range(len(signals))
+        result.values[:, 0, late if result.units[i] in ("rad", "m") else calm, i] / floors[i]
+        for i in range(len(signals))
     ]
     seen = np.nan_to_num(np.concatenate(parts, axis=1))
     ends = np.cumsum([len(r.points) for r in rivals])[:-1]

@@ -4,8 +4,7 @@
 import math
 from collections.abc import Iterator
 
-from eps_tunnel_analysis.sequence import Command
-from eps_tunnel_analysis.sequence_shapes import Chirp, Hold, Ramp, Shape, Step, Triangle
+from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Step, Triangle
 from labyrinth_sim.model import Model
 
 SHARES = (0.25, 0.5, 0.9)  # of an axis's range

@@ -1,98 +1,150 @@
 # SPDX-License-Identifier: Apache-2.0
 """The noise floor: how close to the measured mean any model can come."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from labyrinth_sim.trials import Array, Trials, locked
+from eps_tunnel_analysis.stamped import Readings
+from labyrinth_sim.trials import Array, locked
 
 DRIFT = 0.3  # s over which deviations of trials are pooled to see them drift
 CHANCE = 1.5
 TICK_SHARE = 1.1  # of a known tick: how well the one in the samples is seen
+MEDIAN = 0.6745  # of the size of a Gaussian of deviation 1
+BENDS = 20.0  # variance of third differences of noise of variance 1
+HARMONICS = 5  # of a sensor's ticks
+WHOLE = 0.9  # share of a quantised signal's changes that are multiples of its tick
 
 
 @dataclass(frozen=True)
-class NoiseFloor:
-    """Per signal, in its unit.
+class SignalNoise:
+    """One signal of one play, b bins, in its unit.
 
     Attributes:
-        signals: m names.
-        repeat: (m,) standard deviation of single trials about their mean, pooled over time.
-        resolution: (m,) smallest difference between values that the sensor tells apart, 0 where it is fine.
-        floor: (m,) root of white^2 / p + resolution^2 / 12, white being the part of `repeat` that changes from sample
-            to sample: the deviation of the mean from what was really there. Rounding is not averaged away by trials
-            that repeat well, so it counts in full.
-        local: (T, m) the floor at each sample. Where trials drift apart for a while, as a load that floats in its
-            slack, their mean is no motion that any of them made, so what they differ by slowly counts in full too.
+        time: (b,) s.
+        mean: (b,) over the trials.
+        single: standard deviation of one trial's bins about the mean, of the part that changes from bin to bin.
+        tick: smallest difference that the sensor tells apart, 0 where it is fine.
+        floor: (b,) standard deviation of the mean about what a perfect model says: single trials' noise over the root
+            of their number; rounding, as far as trials round alike; what trials drift apart by slowly, in full, for
+            their mean is then no motion that any of them made; and the tolerance.
     """
 
-    signals: tuple[str, ...]
-    repeat: Array
-    resolution: Array
+    time: Array
+    mean: Array
+    single: float
+    tick: float
     floor: Array
-    local: Array
 
     def __post_init__(self) -> None:
-        for name in ("repeat", "resolution", "floor", "local"):
+        for name in ("time", "mean", "floor"):
             object.__setattr__(self, name, locked(getattr(self, name)))
 
 
-def noise_floor(trials: Trials, known: Mapping[str, float] | None = None) -> NoiseFloor:
-    """Noise floor of repeated trials.
+def signal_noise(
+    bins: Readings,
+    raw: Sequence[Array],
+    width: float,
+    known_tick: float = 0.0,
+    tolerance: float = 0.0,
+    timing: float = 0.0,
+    control_tick: float = 0.0,
+) -> SignalNoise:
+    """Noise of one signal of one play.
 
     Args:
-        trials: at least one; with a single one only the sensor's resolution is known.
-        known: signal -> the coarsest tick that its sensor is known to have. A coarser one is no property of the sensor
-            but something that a model may lack, so it is not counted.
+        bins: what the trials say; with a single trial its ticks and its roughness are known, not what it repeats.
+        raw: each trial's samples as recorded.
+        width: s, of the bins.
+        known_tick: the coarsest tick that the sensor is known to have, 0 for none. A coarser one is no property of the
+            sensor but something that a model may lack, so it is not counted.
+        tolerance: share of the motion's root mean square that does not matter.
+        timing: s, by how much one trial may be early or late.
+        control_tick: in which the drive itself sees its angle: within one it stops anywhere.
     """
-    values = trials.values
-    deviations = values - mean_over_trials(values)
-    seen = np.sum(~np.isnan(deviations), axis=(0, 1))
-    freedom = np.maximum(seen * (1.0 - 1.0 / trials.count), 1.0)
-    repeat = np.sqrt(np.nansum(deviations**2, axis=(0, 1)) / freedom)
-    steps = np.array([resolution(values[:, :, i]) for i in range(len(trials.signals))])
-    coarsest = np.array([(known or {}).get(signal, 0.0) or np.inf for signal in trials.signals])
-    steps = np.where(steps > TICK_SHARE * coarsest, 0.0, steps)
-    p = max(trials.count, 2)
+    trials = bins.single.shape[0]
+    mean = _mean(bins.single, 0)
+    deviations = bins.single - mean
+    share = trials / max(trials - 1, 1)
+    repeat = _mean(deviations**2, None) * share
     jumps = np.diff(deviations, axis=1)
-    white = np.minimum(np.sqrt(0.5 * np.nan_to_num(_mean(jumps**2, (0, 1))) * p / (p - 1)), repeat)
-    span = np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))
-    # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
-    floor = np.maximum(np.sqrt(white**2 / trials.count + steps**2 / 12.0), 1e-7 * np.maximum(span, 1e-3))
-    spread = np.nan_to_num(_mean(deviations**2, 0)) * p / (p - 1)
-    width = max(1, round(DRIFT / trials.step)) if trials.step else 1
+    white = min(0.5 * _mean(jumps**2, None) * share, repeat) if trials > 1 else _roughness(bins.single[0])
+    tick = resolution(raw)
+    if tick > TICK_SHARE * (known_tick or np.inf):
+        tick = 0.0
+    spread = np.nan_to_num(_mean(deviations**2, 0)) * share
+    window = max(1, round(DRIFT / width))
     # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
-    slow = np.maximum(uniform_filter1d(spread, width, axis=0, mode="nearest") - CHANCE * white**2, 0.0)
-    return NoiseFloor(trials.signals, repeat, steps, floor, np.sqrt(floor**2 + slow))
+    slow = np.maximum(uniform_filter1d(spread, window, mode="nearest") - CHANCE * white, 0.0) if trials > 1 else 0.0
+    motion = float(np.sqrt(np.var(bins.mean)))
+    rounding = _rounding(bins, tick, max(white - tick**2 / 12.0, 0.0))
+    early = timing / np.sqrt(trials) * _slope(bins)
+    allowed = (tolerance * motion) ** 2 + early**2 + control_tick**2 / 12.0
+    floor = np.sqrt(white / trials + rounding + slow + allowed)
+    # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
+    least = 1e-7 * max(float(np.ptp(bins.mean)), 1e-3)
+    return SignalNoise(bins.time, bins.mean, float(np.sqrt(white)), tick, np.maximum(floor, least))
 
 
-def _mean(values: Array, axis: int | tuple[int, ...]) -> Array:
+def _rounding(bins: Readings, tick: float, noise: float) -> Array:
+    """(b,) variance of the mean over trials of what rounding to ticks adds.
+
+    The error of rounding is a sum of harmonics of the angle, sum_k q / (pi k) sin(2 pi k angle / q). Noise before the
+    rounding, of this variance, softens each; and trials that were read at different instants of a motion are at
+    different places within a tick.
+    """
+    if tick <= 0.0:
+        return np.zeros(len(bins.time))
+    angle = _slope(bins) * (bins.stamps - bins.time)
+    total = np.zeros(len(bins.time))
+    for k in range(1, HARMONICS + 1):
+        turn = 2.0 * np.pi * k / tick
+        phasor = np.abs(_mean(np.exp(1j * turn * angle), 0)) ** 2
+        total += tick**2 / (2.0 * np.pi**2 * k**2) * phasor * np.exp(-(turn**2) * noise)
+    return np.nan_to_num(total)
+
+
+def _roughness(values: Array) -> float:
+    """Variance of white noise on a smooth motion (b,), from third differences, in which a motion hardly shows.
+
+    Their median is taken, for where the motion turns sharply they are large.
+    """
+    bends = np.abs(np.diff(values, 3))
+    bends = bends[np.isfinite(bends)]
+    return float(np.median(bends) / MEDIAN) ** 2 / BENDS if len(bends) else 0.0
+
+
+def _slope(bins: Readings) -> Array:
+    """(b,) by how much the mean changes in a second."""
+    return np.gradient(bins.mean, bins.time) if len(bins.time) > 1 else np.zeros(len(bins.time))
+
+
+def _mean(values: Array, axis: int | None) -> Array:
     """Mean of the seen values, NaN where there are none."""
     seen = np.isfinite(values)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(seen, values, 0.0).sum(axis=axis) / seen.sum(axis=axis))
 
 
-def mean_over_trials(values: Array) -> Array:
-    """(p, T, ...) to (T, ...) over the trials that saw a sample; NaN where none did."""
-    return _mean(values, 0)
+def resolution(trials: Sequence[Array], share: float = 0.2) -> float:
+    """Tick of a quantised signal: the commonest small change between neighbours, 0 if none stands out.
 
-
-def resolution(values: Array, share: float = 0.2) -> float:
-    """Tick of a quantised signal (p, T): the commonest small change between neighbours, 0 if none stands out.
-
-    Interpolation onto a grid blurs some values but leaves most whole ticks apart where the signal was sampled at about
-    the grid's rate; `share` of the moving samples must agree.
+    Args:
+        trials: (n,) samples of each.
+        share: of the changes that must agree.
     """
-    changes = np.abs(np.diff(values, axis=1))
+    changes = np.abs(np.concatenate([np.diff(values) for values in trials]))
     changes = changes[np.isfinite(changes) & (changes > 0)]
     if len(changes) < 20:
         return 0.0
     top = float(np.quantile(changes, 0.5))
-    counts, edges = np.histogram(changes[changes <= 2.0 * top], bins=200)
+    small = changes[changes <= 2.0 * top]
+    if np.ptp(small) <= 1e-6 * top or top < 1e-12:
+        return 0.0  # what stands still but for the numbers' own rounding has no ticks
+    counts, edges = np.histogram(small, bins=200)
     peak = int(np.argmax(counts))
     near = changes[(changes >= edges[max(peak - 1, 0)]) & (changes <= edges[min(peak + 2, len(edges) - 1)])]
     tick = float(np.median(near))
@@ -101,5 +153,16 @@ def resolution(values: Array, share: float = 0.2) -> float:
         return 0.0
     for part in (4, 3, 2):  # a fast signal takes several ticks at a time
         if np.mean(np.abs(changes - tick / part) < spread) > 0.5 * share:
-            return tick / part
-    return tick
+            tick /= part
+            break
+    if _whole(changes, tick) > WHOLE:
+        return tick
+    # At constant speed the commonest change is what is moved in a sample; ticks are what all changes are multiples of.
+    least = float(changes[changes > 1e-6 * top].min())
+    return least if _whole(changes, least) > WHOLE else 0.0
+
+
+def _whole(changes: Array, tick: float) -> float:
+    """Share of changes (n,) that are multiples of a tick."""
+    parts = changes / tick
+    return float(np.mean(np.abs(parts - np.round(parts)) < 0.1))

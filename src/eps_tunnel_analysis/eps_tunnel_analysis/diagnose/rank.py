@@ -1,23 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From refits to probabilities: what each hypothesis explains against what it costs.
+"""Probabilities of what is missing, from what each hypothesis predicts of samples that it was not fitted to.
 
-The residuals are taken as Gaussian of unknown size, so a hypothesis with mean square c on n independent samples has
-log-likelihood -n/2 ln c. Models err together, so these are divided by a temperature found on cases of known truth. A
-hypothesis pays a multiple of 1/2 ln n for each of its own values (Schwarz 1978), lest an effect be taken for one that
-contains it, and ln K for each effect, K being how many were tried (as PASTIS does: Gerardos and Ronceray, 2025).
+Each hypothesis is cross-validated over stretches of time, and the stretches are drawn anew with random weights (the
+Bayesian bootstrap; Yao, Vehtari, Simpson, Gelman: Using stacking to average Bayesian predictive distributions, Bayesian
+Analysis 13, 2018, section 3.4, "pseudo-BMA+"). So a probability says how far the recording as a whole supports it, and
+depends neither on how bags are cut nor on the density of the samples.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from eps_tunnel_analysis.diagnose.calibration import CALIBRATION
-from eps_tunnel_analysis.diagnose.gate import complete, unexplained
-from eps_tunnel_analysis.diagnose.refit import Refit
+from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.fit.intervals import autocorrelation_length
+from labyrinth_sim.shown import shown
+from labyrinth_sim.trials import Array
 
 NONE, UNKNOWN = "none", "unknown"
 LEAST = 1e-4  # probabilities below are not listed
+FEWEST = 30  # samples of a signal that is judged by itself
+UNREPEATED = 2.0  # times as many floors as healthy may be left where nothing tells what a rig repeats
+#: Share of what a stretch says of the values that is kept where it is left out: as if it had been played once more. A
+#: motion that is made once in a recording would else be predicted by an extrapolation to first order.
+KEPT = 0.5
+
+
+@shown
+@dataclass(frozen=True)
+class Hypothesis:
+    """A refit and what it predicts of stretches of time that were left out of it.
+
+    Attributes:
+        refit: on all samples.
+        left_out: (R,) residuals of each sample by values fitted to the other stretches, in units of the noise floor.
+        contains: sets of effects that it can be set to do the same as, beside those that it has all of.
+    """
+
+    refit: Refit
+    left_out: Array
+    contains: tuple[frozenset[str], ...] = ()
+
+    @property
+    def cost(self) -> float:
+        """Floors that it leaves of what it was not fitted to."""
+        return float(np.mean(self.left_out**2))
 
 
 @dataclass(frozen=True)
@@ -27,23 +56,50 @@ class Ranked:
     Attributes:
         effects: candidate names; empty for the base alone.
         probability: 0 to 1.
-        cost: mean square of the residuals in units of the noise floor, fitted samples.
-        held_out, overall: the same on the samples kept from the fit, and on all.
-        explained: share of the base's overall cost that is gone.
-        penalty: what it pays for its values and for having been chosen from many, in log-likelihood.
+        cost: floors that it leaves of the samples that it was fitted to.
+        held_out: the same of stretches of time that were left out.
+        explained: share of the base's misfit beyond the noise that is gone, held out, with a 90 % interval.
     """
 
     effects: tuple[str, ...]
     probability: float
     cost: float
     held_out: float
-    overall: float
     explained: float
-    penalty: float
+    explained_interval: tuple[float, float]
 
     @property
     def name(self) -> str:
         return name_of(self.effects)
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """What one axis lacks.
+
+    Attributes:
+        ranked: most probable first, the base among them.
+        unknown: probability of something that no hypothesis explains.
+        unknown_but: the free curve that explains clearly more than every named effect, None where none does.
+    """
+
+    ranked: tuple[Ranked, ...]
+    unknown: float
+    unknown_but: str | None = None
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Name of a set of effects, "none" or "unknown" -> probability."""
+        return {r.name: r.probability for r in self.ranked} | {UNKNOWN: self.unknown}
+
+    @property
+    def marginals(self) -> dict[str, float]:
+        """Effect -> probability that it is missing, whatever else is."""
+        found: dict[str, float] = {}
+        for ranked in self.ranked:
+            for name in ranked.effects:
+                found[name] = found.get(name, 0.0) + ranked.probability
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def name_of(effects: Sequence[str]) -> str:
@@ -51,79 +107,235 @@ def name_of(effects: Sequence[str]) -> str:
     return " + ".join(sorted(effects)) if effects else NONE
 
 
-def penalty(own_values: int, effects: int, independent: float, tried: int) -> float:
-    """What a hypothesis pays, in log-likelihood."""
-    return 0.5 * CALIBRATION.value * own_values * np.log(max(independent, 2.0)) + effects * np.log(max(tried, 1))
+def left_out(
+    jacobian: Array,
+    residuals: Array,
+    folds: NDArray[np.int64],
+    room: tuple[Array, Array],
+    firmness: Array | None = None,
+) -> Array:
+    """(R,) residuals of each stretch of time by values fitted to all others, to first order.
+
+    Args:
+        jacobian: (R, k) at the fit to all.
+        residuals: (R,) there.
+        folds: (R,) number of the stretch that each belongs to.
+        room: how far down and up each value may go, (k,) each.
+        firmness: (k,) how firmly each value is expected to be as stated; None where all are free.
+    """
+    found = residuals.copy()
+    if not jacobian.shape[1]:
+        return found
+    whole = jacobian.T @ jacobian
+    if firmness is not None:
+        whole += np.diag(firmness**2)
+    whole += 1e-9 * max(float(np.diag(whole).max(initial=0.0)), np.finfo(float).tiny) * np.eye(len(whole))
+    for fold in np.unique(folds):
+        here = folds == fold
+        own = jacobian[here]
+        change = np.linalg.solve(whole - (1.0 - KEPT) * own.T @ own, own.T @ residuals[here])
+        found[here] = residuals[here] + own @ np.clip(change, -room[0], room[1])
+    return found
+
+
+def independent(residuals: Array, blocks: NDArray[np.int64]) -> float:
+    """How many independent samples residuals (R,), in unbroken runs `blocks` (R,), are worth."""
+    return len(residuals) / (2.0 * autocorrelation_length(residuals, blocks.astype(float)) + 1.0)
 
 
 def rank(
-    base: Refit,
-    refits: Sequence[Refit],
-    independent: float,
+    base: Hypothesis,
+    hypotheses: Sequence[Hypothesis],
+    folds: NDArray[np.int64],
+    blocks: NDArray[np.int64],
     tried: int,
-    once: float = 0.0,
+    curves: Sequence[Hypothesis] = (),
+    level: float = 0.0,
     drifts: bool = False,
-    uneven: bool = False,
     floor: bool = True,
-) -> tuple[list[Ranked], float]:
-    """Probabilities of the base alone, of every refit, and of something unknown.
+    signals: NDArray[np.int64] | None = None,
+) -> Ranking:
+    """Probabilities of the base alone, of every hypothesis, and of something unknown.
 
     Args:
         base: the base values alone.
-        refits: sets of effects on top; nested or not, in any order.
-        independent: samples that the residuals are worth.
+        hypotheses: sets of effects on top; nested or not, in any order.
+        folds: (R,) stretches of time.
+        blocks: (R,) unbroken runs of samples.
         tried: number of candidates.
-        once: overall cost before effects were added to the base in earlier steps.
+        curves: free curves, which have no name but may explain more.
+        level: floors that the base left before effects were added in earlier steps.
         drifts: whether the rig drifts from trial to trial: something is missing, whatever else is.
-        uneven: whether the trials differ by their timing: nothing is complete then, but an effect may still explain the
-            rest.
-        floor: whether the noise floor is known. If not, the base is one hypothesis among the others and nothing can be
-            said of what none of them explains.
-
-    Returns:
-        The ranking, most probable first, the base among it; and the probability of something unknown.
+        floor: whether the noise floor is known. If not, the base is one hypothesis among the others, in units of what
+            the best leaves; where that is also likeliest, but lies far beyond the sensors' noise, something is unknown.
+        signals: (R,) number of each one's signal. Whether anything is left is asked of the worst signal, for others
+            with a wide floor would hide it; without them of all samples together.
     """
-    found: list[tuple[Refit, float, float]] = []
-    for refit in refits:
-        pays = penalty(refit.free - base.free, len(refit.effects), independent, tried)
-        found.append((refit, pays, _likelihood(refit, independent) - pays))
-    best = min((_judged(r) for r in refits), default=np.inf)
-    none = complete(_judged(base), best, once) if refits else 1.0
-    scores = np.array([score for _, _, score in found])
-    shares = np.exp(scores - scores.max()) if len(scores) else scores
-    shares = shares / shares.sum() if len(scores) else shares
-    level = max(_judged(base), once)
-    explained = [1.0 - unexplained(_judged(refit), level) for refit, _, _ in found]
-    lacking = 1.0 - float(np.sum(shares * np.array(explained)))
+    everything = [base, *hypotheses, *curves]
+    best = min(everything, key=lambda h: h.cost)
+    unit = 1.0 if floor else max(best.cost, 1e-12)
+    residuals = [h.left_out for h in everything]
+    weights = _draws(len(np.unique(folds)))
+    costs = _costs(residuals, folds, weights) / unit  # (draws, hypotheses)
+    parts = np.zeros(len(folds), dtype=np.int64) if signals is None else signals
+    worst = _of_worst_signal(residuals, folds, weights, parts) / unit
+    # That something is missing is a fact of the recording; what explains it is drawn anew.
+    worst[:, 0] = _of_worst_signal(residuals[:1], folds, np.ones((1, weights.shape[1])), parts)[0, 0] / unit
+    worth = independent(best.left_out, blocks)
+    first = 1 + len(hypotheses)
+    lowest_curve = worst[:, first:].min(axis=1) if curves else np.full(len(costs), np.inf)
+    none, shares, unknown = _probabilities(
+        hypotheses, base.refit.free, costs[:, :first], worst[:, :first], lowest_curve, worth, tried, level / unit,
+        floor,
+    )  # fmt: skip
     if not floor:
-        others = np.logaddexp.reduce(scores) if len(scores) else -np.inf
-        none, lacking = float(1.0 / (1.0 + np.exp(others - _likelihood(base, independent)))), 0.0
-    changed = CALIBRATION.odd if drifts or uneven else 0.0
-    effects = (1.0 - none) * (1.0 - lacking) * (1.0 - CALIBRATION.odd if drifts else 1.0)
-    none *= 1.0 - changed
+        beyond = _soft(np.log(np.maximum(worst[:, 0] * unit, 1e-12) / (UNREPEATED * SETTINGS.healthy)))
+        none, unknown = none * (1.0 - beyond), none * beyond
+    lacking = SETTINGS.odd if drifts else 0.0
+    unknown_total = float(np.mean(unknown)) * (1.0 - lacking) + lacking
     ranked = [
-        Ranked(
-            refit.effects,
-            float(effects * share),
-            refit.cost,
-            refit.held_out,
-            refit.overall,
-            1.0 - refit.overall / base.overall if base.overall else 0.0,
-            float(pays),
-        )
-        for (refit, pays, _), share in zip(found, shares, strict=True)
+        _ranked(h, float(np.mean(shares[:, i])) * (1.0 - lacking), base, unit, costs[:, 0], costs[:, 1 + i])
+        for i, h in enumerate(hypotheses)
     ]
-    ranked.append(Ranked((), none, base.cost, base.held_out, base.overall, 0.0, 0.0))
-    unknown = max(0.0, 1.0 - none - (effects if found else 0.0))
-    return sorted(ranked, key=lambda r: (-r.probability, r.overall, r.effects)), unknown
+    ranked.append(_ranked(base, float(np.mean(none)) * (1.0 - lacking), base, unit, costs[:, 0], costs[:, 0]))
+    ordered = tuple(sorted(ranked, key=lambda r: (-r.probability, r.cost, r.effects)))
+    named = min((h.cost for h in hypotheses), default=base.cost)
+    curve = min(curves, key=lambda h: h.cost, default=None)
+    better = curve is not None and named - curve.cost > _curve_room(base.cost / unit, curve.cost / unit) * unit
+    return Ranking(ordered, unknown_total, curve.refit.effects[0] if better and curve is not None else None)
 
 
-def _likelihood(refit: Refit, independent: float) -> float:
-    return float(-0.5 * independent * np.log(max(_judged(refit), 1e-12)) / CALIBRATION.temperature)
+def _ranked(h: Hypothesis, probability: float, base: Hypothesis, unit: float, costs0: Array, costs: Array) -> Ranked:
+    gone = 1.0 - np.maximum(costs - 1.0, 0.0) / np.maximum(costs0 - 1.0, 1e-12)
+    gone = np.where(costs0 > 1.0, np.clip(gone, -1.0, 1.0), 0.0) if h.refit.effects else np.zeros(1)
+    low, high = (float(q) for q in np.quantile(gone, (0.05, 0.95)))
+    return Ranked(h.refit.effects, probability, h.refit.cost, h.cost, float(np.median(gone)), (low, high))
 
 
-def _judged(refit: Refit) -> float:
-    return refit.overall
+def _costs(
+    residuals: Sequence[Array], folds: NDArray[np.int64], weights: Array, here: NDArray[np.bool_] | None = None
+) -> Array:
+    """(draws, h) mean squares of the samples `here` (R,) where stretches of time count by weights (draws, f)."""
+    _, which = np.unique(folds, return_inverse=True)
+    counts = np.bincount(which, here, weights.shape[1])
+    sums = np.array([np.bincount(which, r**2, weights.shape[1]) for r in residuals])
+    return np.asarray((weights @ sums.T) / np.maximum(weights @ counts, 1e-300)[:, None])
+
+
+def worst_floors(residuals: Array, signal: NDArray[np.int64]) -> float:
+    """Mean square of residuals (R,) in units of the noise floor: of the signal (R,) that has most, or of all.
+
+    A signal of few samples is not judged by itself.
+    """
+    count = np.bincount(signal)
+    each = np.bincount(signal, residuals**2) / np.maximum(count, 1)
+    return float(max([np.mean(residuals**2), *each[count >= FEWEST]]))
+
+
+def _of_worst_signal(
+    residuals: Sequence[Array], folds: NDArray[np.int64], weights: Array, signals: NDArray[np.int64]
+) -> Array:
+    """(draws, h) as `_costs`, of the signal of which each leaves most; of all together where that is more."""
+    numbers, counts = np.unique(signals, return_counts=True)
+    parts: list[NDArray[np.bool_]] = [np.ones(len(signals), dtype=bool)]
+    parts += [signals == number for number in numbers[counts >= FEWEST]]
+    found = []
+    for r in residuals:
+        here = max(parts, key=lambda part: float(np.mean(r[part] ** 2)))
+        found.append(_costs([r * here], folds, weights, here)[:, 0])
+    return np.column_stack(found)
+
+
+def _draws(folds: int) -> Array:
+    """(draws, f) weights of stretches of time, the same for the same number of them."""
+    return np.random.default_rng(0).dirichlet(np.ones(folds), SETTINGS.draws) * folds
+
+
+def _probabilities(
+    hypotheses: Sequence[Hypothesis],
+    free: int,
+    costs: Array,
+    worst: Array,
+    curve: Array,
+    worth: float,
+    tried: int,
+    level: float,
+    floor: bool,
+) -> tuple[Array, Array, Array]:
+    """For each draw: probability of none (d,), of each set (d, h), of something unknown (d,).
+
+    Args:
+        hypotheses: h of them.
+        free: values of the base alone.
+        costs: (d, 1 + h) floors left by the base and by each: what tells them apart.
+        worst: the same of each one's worst signal: what tells whether anything is left.
+        curve: (d,) floors left by the best free curve.
+        worth: independent samples.
+    """
+    base, left = worst[:, 0], worst[:, 1:]
+    if not len(hypotheses):
+        # As where something was tried and explains no more.
+        lacking = (
+            _soft(np.log(np.maximum(base, 1e-12) / SETTINGS.healthy) - 2.0 * SETTINGS.width)
+            if floor
+            else np.zeros_like(base)
+        )
+        return 1.0 - lacking, left, lacking
+    known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # for no form is exact
+    before = np.maximum(base, level)
+    scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
+    scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
+    # What fits as well with fewer values is the likelier for it (Schwarz 1978).
+    scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - free, 0) for h in hypotheses])
+    scores += np.log(np.maximum(_needed(hypotheses, base, left, before), 1e-300))
+    alone = -0.5 * worth * _surprise(costs[:, 0] / known)
+    shares = np.exp(scores - scores.max(axis=1, keepdims=True))
+    shares /= shares.sum(axis=1, keepdims=True)
+    if not floor:
+        top = scores.max(axis=1)
+        others = top + np.log(np.exp(scores - top[:, None]).sum(axis=1))
+        none = 1.0 / (1.0 + np.exp(np.clip(others - alone, -700.0, 700.0)))
+        return none, shares * (1.0 - none)[:, None], np.zeros_like(none)
+    best = left.min(axis=1)
+    gain = np.log(np.maximum(base, 1e-12) / np.maximum(np.minimum(best, curve), 1e-12)) - 2.0 * SETTINGS.width
+    allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
+    none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
+    room = SETTINGS.healthy + SETTINGS.form * np.maximum(before - 1.0, 0.0)
+    beyond = _soft(np.log(np.maximum(left, 1e-12) / room[:, None]))
+    excess = (left - curve[:, None]) / _curve_room(before, curve)[:, None]
+    formless = _soft(np.log(np.maximum(excess, 1e-12)))
+    explained = (1.0 - beyond) * (1.0 - formless)
+    named = shares * explained * (1.0 - none)[:, None]
+    return none, named, 1.0 - none - named.sum(axis=1)
+
+
+def _surprise(cost: Array) -> Array:
+    """Minus twice the log-likelihood of a sample: Gaussian up to the noise, beyond it with the scale that fits best."""
+    return np.where(cost < 1.0, cost, 1.0 + np.log(np.maximum(cost, 1.0)))
+
+
+def _needed(hypotheses: Sequence[Hypothesis], base: Array, costs: Array, before: Array) -> Array:
+    """(d, h) how far each hypothesis explains materially more than the best of those that it contains."""
+    least = np.maximum(SETTINGS.material, SETTINGS.share * np.maximum(before - 1.0, 0.0))
+    found = np.ones_like(costs)
+    sets = [frozenset(h.refit.effects) for h in hypotheses]
+    for i, h in enumerate(hypotheses):
+        smaller = [j for j, other in enumerate(sets) if other < sets[i] or other in h.contains]
+        if not smaller and len(sets[i]) < 2:
+            continue
+        simpler = costs[:, smaller].min(axis=1) if smaller else base
+        found[:, i] = _soft(np.log(np.maximum(simpler - costs[:, i], 1e-12) / least))
+    return found
+
+
+def _curve_room(base: Array | float, curve: Array | float) -> Array:
+    """Floors by which a named effect may stay behind a free curve."""
+    return np.maximum(SETTINGS.material, SETTINGS.curve * np.maximum(np.asarray(base) - np.asarray(curve), 0.0))
+
+
+def _soft(log_ratio: Array) -> Array:
+    """From 0 to 1 as a ratio goes from below 1 to above."""
+    return 1.0 / (1.0 + np.exp(-np.clip(log_ratio / SETTINGS.width, -50.0, 50.0)))
 
 
 def joint(axes: Sequence[Mapping[str, float]]) -> dict[str, float]:

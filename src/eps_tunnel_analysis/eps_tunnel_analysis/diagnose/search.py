@@ -1,152 +1,250 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refitting every candidate on top of the model, in whole roll-outs, side by side.
 
-First a look at many values of every candidate: one roll-out each, judged after taking away what the base values could
-compensate to first order. Then a descent of the base values and the candidate's together, from its best looks.
+First trial points: one roll-out at many values of every candidate, judged after taking away what the base values could
+compensate to first order. Then a descent of the base values and the candidate's together, from the best of them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, starts
-from eps_tunnel_analysis.diagnose.refit import Job, Level, Look, Refit, best_by_set, refit_of
+from eps_tunnel_analysis.diagnose.evidence import Evidence
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.fit.differences import jacobian
 from eps_tunnel_analysis.fit.lockstep import descend
-from eps_tunnel_analysis.fit.objective import Objective
+from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
-DIFFERENCE = 1e-3  # finite differences, normalised; coarse enough to see over the ticks of a quantised sensor
+DIFFERENCE = 1e-3  # finite differences to begin with, normalised
+RESPONSE = 0.5  # noise floors by which they then change the residuals: seen beside the roughness of stiction and ticks
 TOLERANCE = 2e-3  # relative gain of a round below which a descent rests
-AT_ONCE = 256  # roll-outs of one batch while looking
+AT_ONCE = 256  # roll-outs of one batch of trial points
 FEW_STARTS = 20
-LOOK_STEP = 3  # rounds after which the hopeless are given up
-SCAN = 24  # values tried around a tick
+SHORTLIST = 5  # sets of effects refitted from their trial points; so many are never given up
+FIRST_ROUNDS = 3  # after which the hopeless are given up
+SCAN = 24  # values tried around a tick, and again around the best of them; the first within
+SCANNED = 0.15  # of it
 LEAST_JUDGED = 2
 OUT_OF_REACH = 5.0  # times the best cost: no exact step brings that down
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
-# Times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one.
-ROUGH = 0.2
+FINEST = 4e-4  # s, of MuJoCo's steps
+STANDS = 0.1  # floors by which half the step may change an answer that stands
+UNFELT = 0.02  # floors
+FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
+ROUGH = (
+    0.2  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
+)
+
+Level = Literal["coarse", "fine", "exact"]
+Job = tuple[tuple[Candidate, ...], Array]
+"""Candidates to fit together, and (K,) values to start from."""
+
+
+@shown
+@dataclass(frozen=True)
+class Refit:
+    """A set of effects refitted together with the base values.
+
+    Attributes:
+        effects: candidate names, in the order in which they were added; empty for the base alone.
+        values: (K,) of all of the library's values, in their units.
+        residuals: (R,) in units of the noise floor.
+        cost: mean square of the residuals.
+        free: how many values were fitted.
+        converged: no set that it contains fits better.
+        steps: (K,) finite differences, normalised, that suit it; None for those to begin with.
+    """
+
+    effects: tuple[str, ...]
+    values: Array
+    residuals: Array
+    cost: float
+    free: int
+    converged: bool
+    steps: Array | None = None
+
+
+@dataclass(frozen=True)
+class TrialPoint:
+    """A candidate at (K,) values, and the cost it promises: with as much of its change as helps, to first order.
+
+    `on` counts the refits on top of which it was tried.
+    """
+
+    candidate: Candidate
+    values: Array
+    promised: float
+    on: int = 0
+
+
+def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
+    """The refit of least cost of each set of effects, best first; those of no finite cost are left out."""
+    best: dict[frozenset[str], Refit] = {}
+    for refit in refits:
+        same = best.get(frozenset(refit.effects))
+        if np.isfinite(refit.cost) and (same is None or refit.cost < same.cost):
+            best[frozenset(refit.effects)] = refit
+    return sorted(best.values(), key=lambda r: (r.cost, r.effects))
 
 
 class Search:
     """Roll-outs of a library of candidates, in units of the noise floor.
 
     Args:
-        levels: over the library's model and all of its names, at three of MuJoCo's steps: the coarse one searches, the
-            fine one takes over where that errs, and by the exact one refits are judged.
-        scale: (n,) the noise floor at each of the objective's samples.
-        kept: (objective's samples,) not fitted; candidates are judged on them.
-        used: (n,) which of the objective's samples are compared, R of them; None for all.
-        told: called with the number of roll-outs so far.
+        levels: over the library's model and all of its names, at three steps: the coarse one searches, the fine one
+            takes over where that errs, and by the exact one refits are judged.
+        scale: (n,) the noise floor at each of the evidence's samples.
+        used: (R,) which of the evidence's samples are compared.
+        progress: called with the number of roll-outs so far.
         difference: step of the finite differences, relative to the bounds' span.
     """
 
     def __init__(
         self,
         library: Library,
-        levels: Mapping[Level, Objective],
+        levels: Mapping[Level, Evidence],
         scale: Array,
-        kept: NDArray[np.bool_],
-        used: NDArray[np.int64] | None = None,
-        told: Callable[[int], None] | None = None,
+        used: NDArray[np.int64],
+        progress: Callable[[int], None] | None = None,
         difference: float = DIFFERENCE,
     ) -> None:
-        self.library, self.levels = library, dict(levels)
-        objective = self.objective = levels["coarse"]
-        self.used = np.arange(len(objective.mean)) if used is None else used
-        self.kept = kept[self.used]
+        self.library, self.levels, self.used = library, dict(levels), used
+        self.evidence = levels["coarse"]
         infos = library.model.parameters()
         self.low = np.array([infos[name].low for name in library.names])
         self.high = np.array([infos[name].high for name in library.names])
-        self.start = np.array([infos[name].value for name in library.names])
-        self.blocks = objective.blocks[self.used]
-        self.signal = self.blocks % len(objective.signals)
-        self.scale = scale[self.used]
-        self.shift = np.zeros(len(self.used))  # what the coarse step gets wrong, near where the search is
+        self.start = np.clip([infos[name].value for name in library.names], self.low, self.high)
+        self.blocks = self.evidence.blocks[used]
+        self.signal = self.blocks % len(self.evidence.signals)
+        self.scale = scale[used]
         self.evaluations = 0
-        self.told, self.difference = told, difference
+        self.progress = progress
+        self._shift = np.zeros(len(used))  # what the coarse step gets wrong, near where the search is
         self._column = {name: i for i, name in enumerate(library.names)}
+        #: (K,) how firmly each value is expected to be as stated, per share of its span; 0 for what is free.
+        self.firmness = np.zeros(len(self.start))
+        base = np.arange(len(library.base) - library.rough, len(library.base))
+        span = (self.high - self.low)[base]
+        self._spread = SETTINGS.rough * np.where(self.start[base] != 0.0, np.abs(self.start[base]), span)
+        # Beyond that it would stand in for an effect; `doubts` tells where it should.
+        self.low[base] = np.maximum(self.low[base], self.start[base] - FARTHEST * self._spread)
+        self.high[base] = np.minimum(self.high[base], self.start[base] + FARTHEST * self._spread)
+        span = (self.high - self.low)[base]
+        self.firmness[base] = np.sqrt(SETTINGS.correlated) * span / self._spread
+        self.difference = np.full(len(self.start), difference)
+        self.difference[base] = np.minimum(difference, 0.1 * self._spread / span)
+        self._idle = np.zeros(len(self.start), dtype=bool)  # base values that the recordings do not feel
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
         """(n, K) values to (n, R) residuals in units of the noise floor."""
         self.evaluations += len(values)
-        found = self.levels[level](values)[:, self.used] / self.scale
-        if self.told:
-            self.told(self.evaluations)
-        return found + self.shift if level == "coarse" else found
+        seen = self.levels[level](values)[:, self.used] / self.scale
+        if self.progress:
+            self.progress(self.evaluations)
+        return seen + self._shift if level == "coarse" else seen
 
     def settle_at(self, refit: Refit) -> None:
         """Corrects coarse roll-outs by what the exact step says at a refit."""
-        self.shift = self.shift + refit.residuals - self.residuals(refit.values[None])[0]
+        self._shift = self._shift + refit.residuals - self.residuals(refit.values[None])[0]
+
+    def feel(self, refit: Refit) -> None:
+        """Leaves out of all refits to come what is known roughly, and of which a change by what is expected of it does
+        not show.
+        """
+        base = np.arange(len(self.library.base) - self.library.rough, len(self.library.base))
+        points = np.tile(refit.values, (2 * len(base), 1))
+        for row, (column, spread) in enumerate(zip(base, self._spread, strict=True)):
+            points[2 * row : 2 * row + 2, column] += (spread, -spread)
+        moved = self.residuals(np.clip(points, self.low, self.high)) - self.residuals(refit.values[None])
+        shows = np.nan_to_num(np.mean(moved**2, axis=1), nan=np.inf).reshape(-1, 2).max(axis=1)
+        self._idle[base] = shows < UNFELT
+
+    def refine_at(self, values: Array) -> None:
+        """Halves the exact step until at these values (K,) the answer stands."""
+        here = self.levels["exact"](values[None])[0, self.used] / self.scale
+        while self.levels["exact"].step(0) > FINEST:
+            finer = self.levels["exact"].finer()
+            there = finer(values[None])[0, self.used] / self.scale
+            self.evaluations += 2
+            if not np.mean((there - here) ** 2) > STANDS * max(1.0, SETTINGS.form * np.mean(here**2)):
+                return
+            self.levels["exact"], here = finer, there
 
     def columns(self, candidate: Candidate) -> list[int]:
         """Where the library's values hold a candidate's."""
         return [self._column[name] for name in candidate.parameters]
 
+    def fitted(self, refit: Refit) -> list[int]:
+        """Where the library's values hold those that a refit fits, the base's first."""
+        names = list(self.library.base)
+        for name in refit.effects:
+            names += self.library.find(name).parameters
+        return [column for column in (self._column[name] for name in names) if not self._idle[column]]
+
     def refit(
-        self,
-        jobs: Sequence[Job],
-        rounds: int,
-        level: Level = "coarse",
-        shifts: Array | None = None,
+        self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None, rough: bool = True
     ) -> list[Refit]:
-        """Descend jobs side by side, all of them to the end.
+        """Descends jobs side by side, all of them to the end.
 
         Args:
             jobs: the candidates to fit together with the base values, and (K,) values to start from.
             shifts: (jobs, R) added to each one's residuals.
+            rough: move also the base values that are known roughly.
         """
         if not jobs:
             return []
         more = np.zeros((len(jobs), 1)) if shifts is None else shifts
         free = np.zeros((len(jobs), len(self.start)), dtype=bool)
-        free[:, : len(self.library.base)] = True
+        free[:, : len(self.library.base) - (0 if rough else self.library.rough)] = True
         for row, (candidates, _) in enumerate(jobs):
             for candidate in candidates:
                 free[row, self.columns(candidate)] = True
+        free &= ~self._idle
         span = self.high - self.low
-        fitted = ~self.kept
 
         def scaled(z: Array, owners: NDArray[np.int64]) -> Array:
-            found = self.residuals(np.clip(self.low + z * span, self.low, self.high), level) + more[owners]
-            return found[:, fitted]
+            seen = self.residuals(np.clip(self.low + z * span, self.low, self.high), level) + more[owners]
+            return np.concatenate([seen, self.firmness * (z - stated)], axis=1)
 
+        stated = (self.start - self.low) / span
+        size = len(self.used)
         z0 = (np.array([start for _, start in jobs]) - self.low) / span
-        found = descend(scaled, z0, free, rounds, self.difference, TOLERANCE)
-        values = np.clip(self.low + found.z * span, self.low, self.high)
-        whole = self.residuals(values, level) + more
+        result = descend(scaled, z0, free, rounds, self.difference, TOLERANCE, response=RESPONSE)
+        values = np.clip(self.low + result.z * span, self.low, self.high)
         return [
-            refit_of(
-                tuple(c.name for c in candidates), values[row], whole[row], self.kept, int(free[row].sum()),
-                bool(found.converged[row]),
-            )
+            Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],
+                  float(np.mean(result.residuals[row, :size] ** 2)), int(free[row].sum()), bool(result.converged[row]),
+                  result.steps[row])
             for row, (candidates, _) in enumerate(jobs)
         ]  # fmt: skip
 
-    def best_of(self, jobs: Sequence[tuple[tuple[Candidate, ...], Array]], rounds: int, keep: int = 6) -> list[Refit]:
-        """Descend all jobs a little, the promising ones to the end; the best refit of each set of effects, best first.
+    def best_of(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
+        """Descends all jobs a little, the promising ones to the end; the best refit of each set of effects, best first.
 
-        Args:
-            keep: how many sets go on at least; beyond them only those within HOPELESS times the best.
+        A shortlist of sets goes on in any case; beyond it only those within HOPELESS times the best.
         """
-        looked = self.refit(jobs, LOOK_STEP)
-        rough = self._rough(looked)
-        redone = self.refit([job for job, bad in zip(jobs, rough, strict=True) if bad], LOOK_STEP, "fine")
-        early = best_by_set([*redone, *(r for r, bad in zip(looked, rough, strict=True) if not bad)])
+        begun = self.refit(jobs, FIRST_ROUNDS)
+        rough = self._rough(begun)
+        redone = self.refit([job for job, bad in zip(jobs, rough, strict=True) if bad], FIRST_ROUNDS, "fine")
+        early = best_by_set([*redone, *(r for r, bad in zip(begun, rough, strict=True) if not bad)])
         lowest = early[0].cost if early else np.inf
-        going = [r for i, r in enumerate(early) if not r.converged and (i < keep or r.cost < HOPELESS * lowest)]
+        going = [r for i, r in enumerate(early) if not r.converged and (i < SHORTLIST or r.cost < HOPELESS * lowest)]
         finer = {id(r) for r in redone}
         late: list[Refit] = []
         for level in ("coarse", "fine"):
-            mine = [r for r in going if (id(r) in finer) == (level == "fine")]
-            late += self.refit([(self._candidates(r), r.values) for r in mine], rounds, level)
+            here = [r for r in going if (id(r) in finer) == (level == "fine")]
+            late += self.refit([(self._candidates(r), r.values) for r in here], rounds, level)
         ordered = best_by_set([*early, *late])
-        ordered = best_by_set([*ordered, *self._scanned(ordered[:keep])])
-        near = [r for i, r in enumerate(ordered[:keep]) if i < LEAST_JUDGED or r.cost < OUT_OF_REACH * ordered[0].cost]
+        ordered = best_by_set([*ordered, *self._scanned(ordered[:SHORTLIST])])
+        best = ordered[:SHORTLIST]
+        near = [r for i, r in enumerate(best) if i < LEAST_JUDGED or r.cost < OUT_OF_REACH * best[0].cost]
         judged = self.judged([(self._candidates(r), r.values) for r in near], FINE_ROUNDS)
         return [*best_by_set(judged), *ordered[len(near) :]]
 
@@ -159,12 +257,12 @@ class Search:
         best: list[Refit] = []
         for share in PASSES:
             at = [(candidates, point) for (candidates, _), point in zip(jobs, points, strict=True)]
-            found = self.refit(at, round(share * rounds), "fine", shifts)
-            points = np.array([r.values for r in found])
+            refits = self.refit(at, round(share * rounds), "fine", shifts)
+            points = np.array([r.values for r in refits])
             shown = self.residuals(points, "exact")
-            shifts = shifts + shown - np.array([r.residuals for r in found])
-            seen = [self._judged(r, row) for r, row in zip(found, shown, strict=True)]
-            best = [min(pair, key=lambda r: r.cost) for pair in zip(best or seen, seen, strict=True)]
+            shifts = shifts + shown - np.array([r.residuals for r in refits])
+            exact = [_with_residuals(r, row) for r, row in zip(refits, shown, strict=True)]
+            best = [min(pair, key=lambda r: r.cost) for pair in zip(best or exact, exact, strict=True)]
         return best
 
     def _rough(self, refits: Sequence[Refit]) -> list[bool]:
@@ -183,69 +281,88 @@ class Search:
         jobs = []
         for refit in refits:
             for name in (n for c in self._candidates(refit) for n in c.parameters if n.endswith(".tick")):
-                column = self._column[name]
-                around = np.tile(refit.values, (SCAN, 1))
-                around[:, column] = np.clip(
-                    refit.values[column] * np.geomspace(1 / 1.15, 1.15, SCAN), self.low[column], self.high[column]
-                )
-                cost = np.mean(self.residuals(around)[:, ~self.kept] ** 2, axis=1)
-                jobs.append((self._candidates(refit), around[int(np.nanargmin(cost))]))
-        return self.refit(jobs, LOOK_STEP)
+                best = refit.values
+                for reach in (SCANNED, SCANNED / SCAN):
+                    best = self._best_around(best, self._column[name], reach)
+                jobs.append((self._candidates(refit), best))
+        return self.refit(jobs, FIRST_ROUNDS)
 
-    def looks(self, refits: Sequence[Refit], candidates: Sequence[Candidate]) -> list[Look]:
+    def _best_around(self, values: Array, column: int, reach: float) -> Array:
+        """(K,) the best of values that differ in one by up to this share."""
+        around = np.tile(values, (SCAN, 1))
+        scanned = values[column] * np.geomspace(1.0 / (1.0 + reach), 1.0 + reach, SCAN)
+        around[:, column] = np.clip(scanned, self.low[column], self.high[column])
+        cost = np.mean(self.residuals(around) ** 2, axis=1)
+        return np.asarray(around[int(np.nanargmin(cost))])
+
+    def trial_points(self, refits: Sequence[Refit], candidates: Sequence[Candidate]) -> list[TrialPoint]:
         """Every start of every candidate on top of each refit, by what it promises, best first.
 
         On top of refits after the first, candidates with many starts are left out.
         """
-        found: list[Look] = []
+        points: list[TrialPoint] = []
         for number, refit in enumerate(refits):
-            mine: list[tuple[Candidate, Array]] = []
+            pending: list[tuple[Candidate, Array]] = []
             for candidate in (c for c in candidates if c.name not in refit.effects):
                 rows = starts(candidate)
                 for row in rows if number == 0 or len(rows) <= FEW_STARTS else ():
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row
-                    mine.append((candidate, values))
-            basis = directions(self.changes(refit))[~self.kept]
-            here = refit.residuals[~self.kept]
-            here = here - basis @ (basis.T @ here)
-            for low in range(0, len(mine), AT_ONCE):
-                answers = self.residuals(np.array([v for _, v in mine[low : low + AT_ONCE]]))[:, ~self.kept]
+                    pending.append((candidate, values))
+            basis = directions(np.vstack([self.changes(refit), self._held(refit)]))
+            more = basis.shape[0] - len(refit.residuals)
+            here = np.pad(refit.residuals, (0, more))
+            here -= basis @ (basis.T @ here)
+            for low in range(0, len(pending), AT_ONCE):
+                answers = self.residuals(np.array([v for _, v in pending[low : low + AT_ONCE]]))
                 # What the base values can compensate to first order does not count against a candidate.
+                answers = np.pad(answers, ((0, 0), (0, more)))
                 change = answers - (answers @ basis) @ basis.T - here
                 share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
-                left = np.mean((here + share[:, None] * change) ** 2, axis=1)
-                batch = zip(mine[low : low + AT_ONCE], left, strict=True)
-                found += [Look(c, v, float(p), number) for (c, v), p in batch]
-        return sorted((look for look in found if np.isfinite(look.promised)), key=lambda look: look.promised)
+                left = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
+                batch = zip(pending[low : low + AT_ONCE], left, strict=True)
+                points += [TrialPoint(c, v, float(p), number) for (c, v), p in batch]
+        return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
     def at(self, values: Array, like: Refit) -> Refit:
         """The refit that has these values (K,)."""
-        return self._judged(replace(like, values=values), self.residuals(values[None])[0])
-
-    def _judged(self, refit: Refit, residuals: Array) -> Refit:
-        """The refit with residuals (R,) at its values."""
-        return refit_of(refit.effects, refit.values, residuals, self.kept, refit.free, refit.converged)
+        return _with_residuals(replace(like, values=values), self.residuals(values[None])[0])
 
     def moved(self, refit: Refit) -> Array:
         """(k, K) values of a refit with each of its fitted ones, the base's first, moved by a finite difference."""
-        names = list(self.library.base)
-        for name in refit.effects:
-            names += self.library.find(name).parameters
-        columns = [self._column[name] for name in names]
+        columns = self.fitted(refit)
         moved = np.tile(refit.values, (len(columns), 1))
-        steps = self.difference * (self.high - self.low)[columns]
+        steps = self._steps(refit)[columns] * (self.high - self.low)[columns]
         steps = np.where(refit.values[columns] + steps <= self.high[columns], steps, -steps)
         moved[np.arange(len(columns)), columns] += steps
         return moved
 
+    def _held(self, refit: Refit) -> Array:
+        """(k, k) how firmly each value that `moved` moves is held, per move."""
+        columns = self.fitted(refit)
+        return np.diag((self.firmness * self._steps(refit))[columns])
+
+    def _steps(self, refit: Refit) -> Array:
+        """(K,) finite differences, normalised."""
+        return self.difference if refit.steps is None else refit.steps
+
     def changes(self, refit: Refit) -> Array:
-        """(R, k) by which each of the base values, and of effects fitted already, `moved`, changes residuals; 0 where
-        they are not fitted.
-        """
-        found = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
-        found[self.kept] = 0.0
+        """(R, k) by which each value that `moved` moves changes residuals."""
+        found: Array = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
         return found
+
+    def jacobian(self, refit: Refit) -> Array:
+        """(R, k) of a refit's residuals by its fitted values, each in shares of its bounds' span."""
+        columns = self.fitted(refit)
+        points = self.moved(refit)
+        steps = np.diagonal((points - refit.values)[:, columns]) / (self.high - self.low)[columns]
+        answers = self.residuals(np.vstack([refit.values, points]), "fine")
+        return jacobian(answers[0], answers[1:], steps)
+
+
+def _with_residuals(refit: Refit, residuals: Array) -> Refit:
+    """The refit with residuals (R,) at its values."""
+    return replace(refit, residuals=residuals, cost=float(np.mean(residuals**2)))
 
 
 def directions(changes: Array) -> Array:

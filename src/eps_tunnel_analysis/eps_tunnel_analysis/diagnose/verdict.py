@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verdict: what is missing, how sure that is, and what to do next."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from eps_tunnel_analysis.alikeness import Span
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Ranked, smallest_set
-from labyrinth_sim.effect import effects as library_effects
+from eps_tunnel_analysis.outputs import plain
+from labyrinth_sim.registry import Registry
+from labyrinth_sim.shown import shown
 
 Kind = Literal["complete", "effect", "undecided", "unknown"]
+CLEAR = 0.9  # probability from which one effect on one axis is stated by itself
+WORTH_TELLING = 0.2  # of an axis's misfit
 
 
 @dataclass(frozen=True)
@@ -19,7 +22,8 @@ class Errors:
 
     Attributes:
         error: mean over the positions of equation 10, rad (m for the ball).
-        held_out: mean absolute error on the samples kept from the fit, in the same unit.
+        held_out: mean absolute error, in the same unit, on what was not fitted: recordings held out, or else stretches
+            of time left out in turn.
         alikeness: joint, at k = 1.
     """
 
@@ -28,6 +32,41 @@ class Errors:
     alikeness: float
 
 
+@dataclass(frozen=True)
+class PlayError:
+    """One recording: its name, whether it was kept from the fit, and the error of one model on it (rad)."""
+
+    name: str
+    held_out: bool
+    error: float
+
+
+@shown
+@dataclass(frozen=True)
+class AxisVerdict:
+    """One axis.
+
+    Attributes:
+        marginals: effect -> probability that it is missing, whatever else is.
+        none, unknown: probability that nothing is, and that something is which no effect explains.
+        explained: hypothesis -> share of the misfit beyond the noise that it takes away, with a 90 % interval.
+        remaining: signal -> mean square left by what is named, in units of the noise floor: 1 is noise.
+        floors: the same over all signals, before and after what is named.
+        not_converged: hypotheses whose fit did not come to rest, or is worse than one that it contains.
+        ranking: of all hypotheses.
+    """
+
+    marginals: Mapping[str, float]
+    none: float
+    unknown: float
+    explained: Mapping[str, tuple[float, float, float]]
+    remaining: Mapping[str, float]
+    floors: tuple[float, float]
+    not_converged: tuple[str, ...]
+    ranking: tuple[Ranked, ...]
+
+
+@shown
 @dataclass(frozen=True)
 class Verdict:
     """What a diagnosis says.
@@ -42,8 +81,9 @@ class Verdict:
         where: time spent outside the tunnels by the model with refitted values, before anything is added.
         given, before, after: errors of the model as given, with its values refitted, and with the effects added.
         ball: the same three of the ball, where it was seen.
-        floor: mean square of each axis's residuals in units of the noise floor, before and after.
-        ranking: by axis.
+        plays: the same three for each recording.
+        rig_against_itself: alikeness of one trial in the tunnel of the others, mean over the trials; NaN of one alone.
+        axes: what is said of each axis by itself.
         values: what the effects' and the base's parameters came out as.
         next_experiment: name of the sequence to play next, None where there is nothing to decide.
         notes: what could not be known, one sentence each.
@@ -59,8 +99,7 @@ class Verdict:
     given: Errors
     before: Errors
     after: Errors
-    floor: Mapping[str, tuple[float, float]]
-    ranking: Mapping[str, tuple[Ranked, ...]]
+    axes: Mapping[str, AxisVerdict]
     values: Mapping[str, float]
     seed: int
     evaluations: int
@@ -68,6 +107,18 @@ class Verdict:
     next_experiment: str | None = None
     notes: tuple[str, ...] = field(default=())
     ball: tuple[Errors, ...] = ()
+    plays: tuple[tuple[PlayError, ...], ...] = ((), (), ())
+    rig_against_itself: float = float("nan")
+
+    @property
+    def ranking(self) -> dict[str, tuple[Ranked, ...]]:
+        """By axis."""
+        return {axis: found.ranking for axis, found in self.axes.items()}
+
+    @property
+    def floor(self) -> dict[str, tuple[float, float]]:
+        """Mean square of each axis's residuals in units of the noise floor, before and after."""
+        return {axis: found.floors for axis, found in self.axes.items()}
 
     def to_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers and words; NaN becomes None."""
@@ -78,6 +129,7 @@ class Verdict:
             "stated_set": list(self.stated),
             "coverage": self.coverage,
             "sentence": self.sentence,
+            "axes": {axis: _axis_json(found) for axis, found in self.axes.items()},
             "where": [asdict(span) for span in self.where],
             "error_as_given": self.given.error,
             "error_before": self.before.error,
@@ -88,18 +140,31 @@ class Verdict:
             "alikeness_as_given": self.given.alikeness,
             "alikeness_before": self.before.alikeness,
             "alikeness_after": self.after.alikeness,
+            "rig_against_itself": self.rig_against_itself,
+            **{k: [asdict(e) for e in e3] for k, e3 in zip(("given", "refitted", "after"), self.plays, strict=True)},
             **{f"ball_{w}": asdict(e) for w, e in zip(("as_given", "before", "after"), self.ball, strict=False)},
             "misfit_over_floor": {axis: list(pair) for axis, pair in self.floor.items()},
             "ranking": {axis: [{"name": r.name, **asdict(r)} for r in ranked] for axis, ranked in self.ranking.items()},
             "values": dict(self.values),
+            "proposed_effect": None,
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
             "seed": self.seed,
             "evaluations": self.evaluations,
             "seconds": self.seconds,
         }
-        plain: dict[str, Any] = _plain(content)
-        return plain
+        found: dict[str, Any] = plain(content)
+        return found
+
+
+def _axis_json(found: AxisVerdict) -> dict[str, Any]:
+    return {
+        "marginals": {**found.marginals, NONE: found.none, UNKNOWN: found.unknown},
+        "explained": {name: {"share": s, "interval": [a, b]} for name, (s, a, b) in found.explained.items()},
+        "remaining": dict(found.remaining),
+        "floors": list(found.floors),
+        "not_converged": list(found.not_converged),
+    }
 
 
 def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, tuple[str, ...], tuple[str, ...]]:
@@ -119,57 +184,68 @@ def sentence(
     effects: Sequence[str],
     stated: Sequence[str],
     probabilities: Mapping[str, float],
+    axes: Mapping[str, AxisVerdict],
+    registry: Registry,
     floor: bool = True,
-    partly: Mapping[str, float] | None = None,
 ) -> str:
-    """The verdict in plain words.
+    """The verdict in plain words, axis by axis where the recordings do not decide as a whole.
 
     Args:
         floor: whether trials were repeated.
-        partly: hypotheses that explain a share of what is missing, told where not all of it is explained.
     """
     if kind == "complete" and not floor:
         return (
-            f"No effect of the library explains more ({probabilities[NONE]:.0%}); whether what is left is noise, one "
-            "trial does not tell."
+            f"No effect of the library explains more ({percent(probabilities[NONE])}); whether what is left is noise, "
+            "one trial does not tell."
         )
     if kind == "complete":
-        return f"Nothing is missing within the noise ({probabilities[NONE]:.0%})."
-    if kind == "unknown":
-        most = [f"{_hypothesis(name)} explains {share:.0%} of it" for name, share in (partly or {}).items()]
-        part = f", though {' and '.join(most)}" if most else ""
-        return (
-            f"Something is missing that no known effect explains in full ({probabilities[UNKNOWN]:.0%}){part}; "
-            "look at what is left over speed, position and time."
-        )
+        return f"Nothing is missing within the noise ({percent(probabilities[NONE])})."
     if kind == "effect":
-        sure = probabilities[stated[0]]
-        return f"The model lacks {' and '.join(map(in_words, effects))} ({sure:.0%})."
-    told = [f"{_hypothesis(name)} ({probabilities[name]:.0%})" for name in stated]
-    return f"These recordings do not decide between {', '.join(told[:-1])} and {told[-1]}."
+        sure = percent(probabilities[stated[0]])
+        return f"The model lacks {' and '.join(in_words(name, registry) for name in effects)} ({sure})."
+    if kind == "unknown":
+        start = f"Something is missing that no known effect explains in full ({percent(probabilities[UNKNOWN])})."
+    else:
+        start = undecided([f"{_hypothesis(name, registry)} ({percent(probabilities[name])})" for name in stated])
+    return " ".join([start, *(text for axis, found in axes.items() if (text := _part(axis, found, registry)))])
 
 
-def in_words(name: str) -> str:
+def _part(axis: str, found: AxisVerdict, registry: Registry) -> str:
+    """What is clear of one axis by itself; empty where nothing is."""
+    before, _ = found.floors
+    clear = [name for name, p in found.marginals.items() if p >= CLEAR]
+    if clear:
+        share = found.explained.get(" + ".join(sorted(clear)), found.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
+        named = " and ".join(f"{in_words(name, registry)} ({percent(found.marginals[name])})" for name in clear)
+        return f"{named[0].upper()}{named[1:]} explains {share:.0%} of what the model leaves there."
+    most = max(found.explained.items(), key=lambda item: item[1][0], default=None)
+    if found.unknown > 0.5 and most and most[1][0] >= WORTH_TELLING:
+        return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {before:.3g} floors."
+    if found.none >= CLEAR:
+        return f"Nothing is missing on {axis}, {before:.2g} floors."
+    return f"On {axis} {before:.3g} floors remain."
+
+
+def undecided(options: Sequence[str]) -> str:
+    """Two or more options, in words."""
+    return f"These recordings do not decide between {', '.join(options[:-1])} and {options[-1]}."
+
+
+def percent(probability: float) -> str:
+    """As a whole number, never 100 %."""
+    return "over 99%" if probability > 0.99 else f"{probability:.0%}"
+
+
+def in_words(name: str, registry: Registry) -> str:
     """A candidate as people say it: "backlash on x"."""
     effect, _, place = name.partition(".")
-    known = library_effects()
-    title = known[effect].title if effect in known else effect
+    title = registry.effects[effect].title if effect in registry.effects else effect
     return f"{title[0].lower()}{title[1:]} on {'the ball' if place == 'ball' else place}"
 
 
-def _hypothesis(name: str) -> str:
+def _hypothesis(name: str, registry: Registry) -> str:
     if name == NONE:
         return "nothing missing"
     if name == UNKNOWN:
         return "something unknown"
-    return " with ".join(in_words(part) for part in name.split(" + "))
-
-
-def _plain(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {str(key): _plain(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_plain(value) for value in content]
-    if isinstance(content, float):
-        return content if math.isfinite(content) else None
-    return content
+    return " with ".join(in_words(part, registry) for part in name.split(" + "))

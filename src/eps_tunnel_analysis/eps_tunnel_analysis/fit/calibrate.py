@@ -2,34 +2,172 @@
 """Calibration: fit a model's free values to recorded plays, and say how far the answer can be trusted."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.fit.cma import CmaEs
-from eps_tunnel_analysis.fit.es import EvolutionStrategy
-from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, Progress
-from eps_tunnel_analysis.fit.fitness import CommandError, Dissimilarity, Fitness
-from eps_tunnel_analysis.fit.gauss_newton import GaussNewton
-from eps_tunnel_analysis.fit.intervals import Intervals, combination, intervals, jacobian, unknown_intervals
-from eps_tunnel_analysis.fit.journal import Journal
-from eps_tunnel_analysis.fit.objective import Objective
-from eps_tunnel_analysis.fit.problem import Problem, Residuals
-from eps_tunnel_analysis.fit.result import Fit, Fitted
-from eps_tunnel_analysis.plays import Play
+from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.compare import compare
+from eps_tunnel_analysis.fit.differences import jacobian, moved
+from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy
+from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, FitProgress, Improvement, Journal
+from eps_tunnel_analysis.fit.intervals import (
+    Intervals,
+    combination,
+    intervals,
+    trade_offs,
+    unknown_intervals,
+    widened,
+)
+from eps_tunnel_analysis.fit.methods import CmaEs, EvolutionStrategy, GaussNewton
+from eps_tunnel_analysis.fit.problem import (
+    CommandError,
+    Dissimilarity,
+    Fitness,
+    Objective,
+    Part,
+    Problem,
+    Residuals,
+    by_axis,
+)
+from eps_tunnel_analysis.fit.start_pose import start_pose_deviation
+from eps_tunnel_analysis.outputs import plain
+from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
+from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
-STEP = 1e-4  # of the finite differences for the intervals, normalised
+INTERVAL_STEP = 1e-4  # of the finite differences for the intervals, normalised
 AT_BOUND = 1e-3  # normalised distance at which a value counts as at its bound
 NEGLIGIBLE_STEP = 1e-4  # normalised; a promise this close by is no promise
 PROMISED_GAIN = 0.05  # of the squared residuals; less counts as converged
 FITNESS = ("error", "srg")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One free parameter after a fit.
+
+    Attributes:
+        name, unit: the full parameter name and its unit.
+        start, value: before and after, in that unit.
+        half_width: of the 95 % interval, in that unit; NaN where no interval could be computed.
+        low, high: the bounds.
+        at_bound: the value lies at one of them, so the true one may lie beyond.
+    """
+
+    name: str
+    unit: str
+    start: float
+    value: float
+    half_width: float
+    low: float
+    high: float
+    at_bound: bool
+
+
+@shown
+@dataclass(frozen=True)
+class Fit:
+    """The result of a calibration.
+
+    Attributes:
+        method, fitness, seed: how it was made.
+        parameters: one for each free parameter.
+        before, after: fitness on the commands that were fitted.
+        held_out_before, held_out_after: on those that were not; NaN where none were held out.
+        fitted_plays, held_out_plays: their names.
+        converged: no step that the residuals' slope promises would gain 5 % or more.
+        interrupted: ended by Ctrl-C; the values are the best until then.
+        evaluations: parameter sets simulated, each on all commands.
+        seconds: wall time.
+        history: where the best improved.
+        warnings: one sentence each.
+        about: data, versions and whatever else the caller knows.
+    """
+
+    method: str
+    fitness: str
+    seed: int
+    parameters: tuple[Fitted, ...]
+    before: float
+    after: float
+    held_out_before: float
+    held_out_after: float
+    fitted_plays: tuple[str, ...]
+    held_out_plays: tuple[str, ...]
+    converged: bool
+    interrupted: bool
+    evaluations: int
+    seconds: float
+    history: tuple[Improvement, ...]
+    warnings: tuple[str, ...]
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Full parameter name -> fitted value."""
+        return {p.name: p.value for p in self.parameters}
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dicts, lists, numbers and words; NaN becomes None."""
+        return {key: plain(value) for key, value in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Score:
+    """One signal of one model over several plays.
+
+    Attributes:
+        signal, unit: what it is.
+        error: E_C of equation 10, mean over the plays, in the signal's unit; inf where the simulation diverged.
+        alikeness: k -> share of all seen samples within k times the smoothed tunnel (equations 7, 12, 13).
+    """
+
+    signal: str
+    unit: str
+    error: float
+    alikeness: dict[float, float]
+
+
+def judge(
+    model: Model,
+    plays: Sequence[Play],
+    signals: Iterable[str] | None = None,
+    ks: Sequence[float] = KS,
+    timestep: float | None = None,
+) -> tuple[Score, ...]:
+    """Compares the model with each play, by tunnels and errors as `compare` does.
+
+    Raises:
+        InputError: unknown signals, or commands that the rig needs are missing.
+    """
+    names = compared_signals(model, [play.trials for play in plays], signals)
+    errors = np.zeros(len(names))
+    alike, seen = np.zeros((len(ks), len(names))), np.zeros((len(ks), len(names)))
+    for play in plays:
+        real = play.trials.select(names)
+        try:
+            result = compare(real, roll_out(model, play, timestep), ks, signals=names)
+        except Diverged:
+            errors += np.inf
+            seen += (~np.isnan(real.values)).any(axis=0).sum(axis=0)
+            continue
+        errors += [e.command_error for e in result.errors]
+        alike += [a.alike.sum(axis=0) for a in result.alikeness]
+        seen += [a.seen.sum(axis=0) for a in result.alikeness]
+    units = dict(zip(model.rig.signals, model.rig.units, strict=True))
+    shares = alike / np.maximum(seen, 1)  # (k, m)
+    by_k = [dict(zip(sorted(ks), column, strict=True)) for column in shares.T.tolist()]
+    return tuple(
+        Score(name, units[name], float(error) / len(plays), share)
+        for name, error, share in zip(names, errors, by_k, strict=True)
+    )
 
 
 class Method(Protocol):
@@ -94,7 +232,7 @@ def calibrate(
     free: Sequence[str],
     plays: Sequence[Play],
     settings: Settings | None = None,
-    progress: Progress | None = None,
+    progress: FitProgress | None = None,
 ) -> Fit:
     """Fit the free values of a model.
 
@@ -119,7 +257,8 @@ def calibrate(
     objective = Objective(model, free, fitted, settings.signals, settings.timestep, settings.nthread)
     problem = make_problem(objective, settings)
     identity = repr((method, settings.fitness, settings.seed, problem.names, problem.low, problem.high, problem.start,
-                     objective.mean.tobytes(), sorted(model.values().items()), settings.timestep))  # fmt: skip
+                     objective.mean.tobytes(), objective.rollouts.commands.tobytes(), sorted(model.values().items()),
+                     settings.timestep))  # fmt: skip
     journal = Journal(settings.journal, identity) if settings.journal else None
     interrupted = False
     evaluations = Evaluations(problem, journal, progress, settings.budget)
@@ -134,9 +273,13 @@ def calibrate(
         try:
             residuals, slopes = _around(evaluations)
             found = intervals(slopes, residuals, problem.blocks)
+            at = objective, fitted, problem, evaluations.best, residuals, slopes
+            lacking = discrepancy(*at)
+            found = widened(found, np.hypot(lacking.deviation, start_pose_deviation(*at)))
         except KeyboardInterrupt:  # again: whoever waits wants the values, not how sure they are
             interrupted = True
             residuals, slopes, found = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
+            lacking = Discrepancy(np.zeros(problem.size))
     finally:
         if journal:
             journal.close()
@@ -173,7 +316,10 @@ def calibrate(
         evaluations=evaluations.count,
         seconds=time.monotonic() - started,
         history=tuple(evaluations.history),
-        warnings=_warnings(problem, at_bound, found, gain, interrupted),
+        warnings=(
+            *_warnings(problem, at_bound, found, gain, interrupted),
+            *_doubts(found, lacking, values, span, problem),
+        ),
         about=settings.about,
     )
 
@@ -205,9 +351,9 @@ def _around(evaluations: Evaluations) -> tuple[Array, Array]:
     # Not in the checkpoint either: a run that goes on after an interruption asks other questions next.
     evaluations.limit, evaluations.progress, evaluations.journal = None, None, None
     z = evaluations.best
-    steps = np.where(z + STEP <= 1.0, STEP, -STEP)
+    points, steps = moved(z, INTERVAL_STEP)
     scaled = evaluations.problem.fitness.scaled
-    answers = np.nan_to_num(scaled(evaluations.residuals(np.vstack([z, z + np.diag(steps)]))))
+    answers = np.nan_to_num(scaled(evaluations.residuals(np.vstack([z, points]))))
     return answers[0], jacobian(answers[0], answers[1:], steps)
 
 
@@ -242,3 +388,104 @@ def _warnings(
             "can change without the data objecting. Fix one of them, or record commands that excite it."
         )
     return tuple(told)
+
+
+def _doubts(found: Intervals, lacking: Discrepancy, values: Array, span: Array, problem: Problem) -> list[str]:
+    """What the intervals do not say by themselves."""
+    if not lacking.likely:
+        return trade_offs(found, values, span, problem.names)
+    return [
+        "The model leaves more than noise, so the intervals allow for what a missing effect would have shifted (of "
+        f"those tried, {lacking.likely} explains most to first order). `diagnose` names it."
+    ]
+
+
+#: Told before each fit of its part and its likely number of evaluations; gives what is called as the fit goes on.
+Bars = Callable[[Part, int], FitProgress]
+
+
+@shown
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Attributes:
+    model: with the fitted values, their source not told yet; see `signed`.
+    parts, fits: what was fitted, and how it went; one unless fitted axis by axis, fewer after an interruption.
+    before, after: scores on the fitted plays, signal by signal.
+    held_out_before, held_out_after: on those held out; empty where none were.
+    """
+
+    model: Model
+    parts: tuple[Part, ...]
+    fits: tuple[Fit, ...]
+    before: tuple[Score, ...]
+    after: tuple[Score, ...]
+    held_out_before: tuple[Score, ...]
+    held_out_after: tuple[Score, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Full parameter name -> fitted value."""
+        return {name: value for fit in self.fits for name, value in fit.values.items()}
+
+    @property
+    def interrupted(self) -> bool:
+        return any(fit.interrupted for fit in self.fits)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(text for fit in self.fits for text in fit.warnings)
+
+    def signed(self, source: str, provenance: Mapping[str, Any]) -> Model:
+        """The model with `source` at each fitted value, and `provenance`."""
+        return replace(self.model.with_values(self.values, source), provenance=dict(provenance))
+
+
+def calibrate_model(
+    model: Model,
+    plays: Sequence[Play],
+    free: Sequence[str],
+    settings: Settings,
+    axis_by_axis: bool = False,
+    bars: Bars | None = None,
+) -> CalibrationResult:
+    """Fits a model to plays.
+
+    Args:
+        free: full parameter names.
+        settings: `held_out` counts the plays as given here; a checkpoint of a fit axis by axis is one file for each
+            axis, named after it.
+        axis_by_axis: one fit after the other, each to its axis's signals, as in the paper; else one for all.
+
+    Raises:
+        InputError: see `calibrate`.
+    """
+    everything = Part("", tuple(free), settings.signals, tuple(range(len(plays))))
+    parts = by_axis(model, free, plays, settings.signals) if axis_by_axis else [everything]
+    fits: list[Fit] = []
+    fitted = model
+    for part in parts:
+        held = tuple(at for at, number in enumerate(part.plays) if number in settings.held_out)
+        if len(held) == len(part.plays):
+            names = ", ".join(plays[i].name for i in part.plays)
+            raise InputError(
+                f"Every command that moves axis {part.axis} is held out ({names}). Hold out fewer, or draw others by "
+                "another seed."
+            )
+        journal = settings.journal
+        if journal is not None and part.axis:
+            journal = journal.with_name(f"{journal.name}.{part.axis}")
+        mine = replace(settings, signals=part.signals, held_out=held, journal=journal)
+        bar = bars(part, settings.budget or settings.optimiser().budget) if bars else None
+        fit = calibrate(fitted, part.free, [plays[i] for i in part.plays], mine, bar)
+        fits.append(fit)
+        fitted = fitted.with_values(fit.values, "fitted")
+        if fit.interrupted:
+            break
+    seen = [play for number, play in enumerate(plays) if number not in settings.held_out]
+    unseen = [play for number, play in enumerate(plays) if number in settings.held_out]
+    scores = [
+        judge(which, some, settings.signals, timestep=settings.timestep) if some else ()
+        for some in (seen, unseen)
+        for which in (model, fitted)
+    ]
+    return CalibrationResult(fitted, tuple(parts[: len(fits)]), tuple(fits), *scores)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same evaluations on a Dask cluster.
+"""The same work on a Dask cluster: the rows of a batch shared out among its workers, or one task each.
 
 Workers need this software and the rig's files at the same paths. An evaluation is a pure function of its values, so
 where it runs, in what company, and how often (a worker that dies has its share done again) changes no bit.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,14 +15,19 @@ from eps_tunnel_analysis.fit.problem import Residuals
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array
 
-SHARE = 8  # rows of a batch that a worker gets at least; fewer would be all overhead
+ROWS_EACH = 8  # rows of a batch that a worker gets at least; fewer would be all overhead
 RETRIES = 5  # deaths of a worker over one share before it is given up
 CONNECT_S = 20.0
+Spread = Callable[[Residuals], Residuals]
+"""Makes of a residual function one that gives the same, and has its rows done elsewhere."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @contextmanager
-def cluster(address: str, timeout: float = CONNECT_S) -> Iterator[Callable[[Residuals], Residuals]]:
-    """Connects to a scheduler; gives what turns a residual function into one whose work is done there.
+def connected(address: str, timeout: float = CONNECT_S) -> Iterator[Any]:
+    """A `distributed.Client` of a scheduler.
 
     Args:
         address: as `tcp://host:8786`.
@@ -46,26 +51,48 @@ def cluster(address: str, timeout: float = CONNECT_S) -> Iterator[Callable[[Resi
         workers = len(client.scheduler_info()["workers"])
         if workers == 0:
             raise InputError(f"--scheduler {address}: it has no workers. Start some: `dask worker {address}`.")
+        yield client
+    finally:
+        client.close()
+
+
+@contextmanager
+def cluster(address: str, timeout: float = CONNECT_S) -> Iterator[Spread]:
+    """Connects to a scheduler; gives what turns a residual function into one whose work is done there.
+
+    Args, Raises: as `connected`.
+    """
+    with connected(address, timeout) as client:
 
         def spread(residuals: Residuals) -> Residuals:
             return _Spread(client, residuals)
 
         yield spread
-    finally:
-        client.close()
+
+
+def each(client: Any, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """What `work` makes of each item, one task each, in the order in which they are done."""
+    from distributed import as_completed
+
+    futures = client.map(work, list(items), retries=RETRIES, pure=False)
+    for done in as_completed(futures, loop=client.loop):
+        yield done.result()
+        done.release()
 
 
 class _Spread:
     """A residual function whose rows are shared out among the workers."""
 
     def __init__(self, client: Any, residuals: Residuals) -> None:
-        self._client = client
+        self._client, self._residuals = client, residuals
         # Scattered data dies with the worker that holds it; a submitted constant is made anew.
         self._there = client.submit(_same, residuals, retries=RETRIES, pure=False)
 
     def __call__(self, values: Array) -> Array:
+        if len(values) < ROWS_EACH:
+            return self._residuals(values)  # done before it would have arrived
         threads = max(1, sum(self._client.nthreads().values()))
-        count = max(1, min(threads, -(-len(values) // SHARE)))
+        count = max(1, min(threads, -(-len(values) // ROWS_EACH)))
         futures = self._client.map(
             _part, np.array_split(values, count), residuals=self._there, retries=RETRIES, pure=False
         )

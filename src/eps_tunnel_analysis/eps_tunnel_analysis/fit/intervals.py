@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well the data pin the fitted values down: 95 % intervals and what cannot be told apart.
 
-Residuals of a roll-out are correlated in time, so the textbook covariance is far too narrow. The sandwich estimator of
-Newey and West (Econometrica 55, 1987) is used, the scores weighted by Bartlett's window within each unbroken block.
+Residuals of a roll-out are correlated in time, so the textbook covariance is far too narrow. In the sandwich estimator
+used here the residuals' autocovariance stands between the slopes, weighted by Bartlett's window within each unbroken
+block. Products of the scores themselves (Newey and West, Econometrica 55, 1987) come out too small: a fit has made
+their sum zero.
 """
 
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.stats import norm
 
 from labyrinth_sim.trials import Array
+
+TRADE_OFF = 0.97  # correlation of two values from which they are told together: a quarter of either one's width is left
 
 
 @dataclass(frozen=True)
@@ -22,23 +26,20 @@ class Intervals:
     loose: directions (d, k), unit length, along which the fit can move by more than `loose_bound` of the box
         without the data objecting; empty when all is identifiable.
     lag: window length, samples.
+    covariance: (k, k), normalised units.
     """
 
     deviation: Array
     half_width: Array
     loose: Array
     lag: int
+    covariance: Array
 
 
 def unknown_intervals(k: int) -> Intervals:
     """What is said of k values when nobody had the time to look."""
     nothing = np.full(k, np.nan)
-    return Intervals(nothing, nothing, np.empty((0, k)), 0)
-
-
-def jacobian(residuals_at: Array, residuals_moved: Array, steps: Array) -> Array:
-    """(R, k) from residuals (R,) and moved residuals (k, R) at steps (k,)."""
-    return np.asarray(((residuals_moved - residuals_at) / steps[:, None]).T)
+    return Intervals(nothing, nothing, np.empty((0, k)), 0, np.full((k, k), np.nan))
 
 
 def intervals(jac: Array, residuals: Array, blocks: Array, loose_bound: float = 0.25) -> Intervals:
@@ -56,7 +57,7 @@ def intervals(jac: Array, residuals: Array, blocks: Array, loose_bound: float = 
     # A direction that moves nothing has no finite variance; a floor keeps the numbers finite and the direction loose.
     floor = max(sizes.max(initial=0.0) * 1e-9, np.finfo(float).tiny)
     bread = (right.T / np.maximum(sizes, floor) ** 2) @ right
-    covariance = bread @ _long_run(jac * residuals[:, None], blocks, lag) @ bread
+    covariance = bread @ _long_run(jac, residuals, blocks, lag) @ bread
     # Few parameters eat few degrees of freedom, but correlated samples are few too.
     independent = max(len(residuals) / (2 * lag + 1), k + 1.0)
     covariance *= independent / max(independent - k, 1.0)
@@ -64,7 +65,7 @@ def intervals(jac: Array, residuals: Array, blocks: Array, loose_bound: float = 
     variances, vectors = np.linalg.eigh(covariance)
     loose = vectors.T[np.sqrt(np.maximum(variances, 0.0)) > loose_bound]
     dead = right[sizes <= floor * 10]
-    return Intervals(deviation, norm.ppf(0.975) * deviation, np.vstack([loose, dead]), lag)
+    return Intervals(deviation, norm.ppf(0.975) * deviation, np.vstack([loose, dead]), lag, covariance)
 
 
 def autocorrelation_length(residuals: Array, blocks: Array, most: int = 200) -> int:
@@ -87,16 +88,51 @@ def _parts(blocks: Array) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def _long_run(scores: Array, blocks: Array, lag: int) -> Array:
-    """(k, k) Bartlett-weighted sum of the scores' (R, k) autocovariances."""
-    total = np.zeros((scores.shape[1], scores.shape[1]))
-    for part in _parts(blocks):
-        s = scores[part]
-        total += s.T @ s
-        for shift in range(1, min(lag, len(s) - 1) + 1):
-            cross = s[shift:].T @ s[:-shift]
-            total += (1.0 - shift / (lag + 1.0)) * (cross + cross.T)
+def _long_run(jac: Array, residuals: Array, blocks: Array, lag: int) -> Array:
+    """(k, k) slopes (R, k) on both sides of the residuals' autocovariance, Bartlett-weighted."""
+    total = np.zeros((jac.shape[1], jac.shape[1]))
+    parts = _parts(blocks)
+    for shift in range(lag + 1):
+        weight = (1.0 - shift / (lag + 1.0)) / len(residuals)
+        pairs = [(residuals[p], jac[p]) for p in parts if p.stop - p.start > shift]
+        shared = weight * sum(float(r[shift:] @ r[: len(r) - shift]) for r, _ in pairs)
+        for _, slopes in pairs:
+            cross = slopes[shift:].T @ slopes[: len(slopes) - shift]
+            total += shared * (cross if shift == 0 else cross + cross.T)
     return total
+
+
+def widened(found: Intervals, more: Array) -> Intervals:
+    """Intervals with (k,) more of deviation, normalised units."""
+    deviation = np.hypot(found.deviation, more)
+    return replace(found, deviation=deviation, half_width=norm.ppf(0.975) * deviation)
+
+
+def trade_offs(found: Intervals, values: Array, span: Array, names: tuple[str, ...]) -> list[str]:
+    """What is known of two values together where neither is known well by itself, one sentence for each such pair.
+
+    Args:
+        values, span: (k,) of the fit and of the bounds, in the values' units.
+    """
+    said: list[str] = []
+    covariance = found.covariance * np.outer(span, span)
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if not np.isfinite(covariance).all():
+        return said
+    for i, j in combinations(range(len(names)), 2):
+        if size[i] * size[j] <= 0.0:
+            continue
+        correlation = covariance[i, j] / (size[i] * size[j])
+        if abs(correlation) < TRADE_OFF:
+            continue
+        share = -covariance[i, j] / covariance[j, j]
+        half = norm.ppf(0.975) * size[i] * np.sqrt(max(1.0 - correlation**2, 0.0))
+        sign, known = "-" if share < 0.0 else "+", values[i] + share * values[j]
+        said.append(
+            f"{names[i]} and {names[j]} trade off: {names[i]} {sign} {abs(share):.3g} {names[j]} = {known:.4g} ± "
+            f"{half:.2g} is known better than either."
+        )
+    return said
 
 
 def combination(direction: Array, names: tuple[str, ...], least: float = 0.2) -> str:

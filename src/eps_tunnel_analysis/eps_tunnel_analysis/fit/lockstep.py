@@ -12,10 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from eps_tunnel_analysis.fit.differences import jacobian, moved
 from labyrinth_sim.trials import Array
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])
 TRUST = 1e-12
+RESCALED = 10.0  # times by which a finite difference grows or shrinks from round to round, at most
+SMALLEST, LARGEST = 1e-6, 0.05  # finite differences, normalised
 
 #: (n, K) normalised values and (n,) the problem each row belongs to -> (n, R) residuals, NaN rows where diverged.
 BatchResiduals = Callable[[Array, NDArray[np.int64]], Array]
@@ -30,6 +33,7 @@ class Descent:
         cost: (B,) mean square of the residuals; inf where nothing finite was met.
         residuals: (B, R) at z.
         converged: (B,) the last round gained less than the tolerance.
+        steps: (B, K) of the finite differences, normalised.
         evaluations: roll-outs in all.
     """
 
@@ -37,6 +41,7 @@ class Descent:
     cost: Array
     residuals: Array
     converged: NDArray[np.bool_]
+    steps: Array
     evaluations: int
 
 
@@ -48,6 +53,7 @@ def descend(
     difference: float | Array = 1e-3,
     tolerance: float = 1e-4,
     hopeless: Callable[[Array], NDArray[np.bool_]] | None = None,
+    response: float | None = None,
 ) -> Descent:
     """Descend every problem from its start.
 
@@ -59,10 +65,12 @@ def descend(
         difference: step of the finite differences, one for all or (K,), normalised.
         tolerance: relative gain below which a problem rests.
         hopeless: told the costs (B,) after each round, says whom to stop early.
+        response: root mean square by which a finite difference is to change the residuals; each is adapted to that.
+            Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope.
     """
     z = np.clip(np.array(starts, dtype=np.float64), 0.0, 1.0)
     count, size = z.shape
-    steps = np.broadcast_to(np.asarray(difference, dtype=np.float64), (size,))
+    steps = np.tile(np.broadcast_to(np.asarray(difference, dtype=np.float64), (size,)), (count, 1))
     everyone = np.arange(count)
     at = residuals(z, everyone)
     cost = _cost(at)
@@ -70,12 +78,19 @@ def descend(
     damping = np.full(count, 1e-2)
     rest = ~np.isfinite(cost) | ~free.any(axis=1) | (cost == 0.0)
     converged = ~free.any(axis=1) | (cost == 0.0)
+    jacobians: dict[int, tuple[Array, NDArray[np.int64]]] = {}
     for _ in range(rounds):
         active = everyone[~rest]
         if len(active) == 0:
             break
-        jacobians, used = _jacobians(residuals, z, at, active, free, steps)
-        evaluations += used
+        asked = np.array([b for b in active if b not in jacobians], dtype=np.int64)
+        if len(asked):
+            fresh, used = _jacobians(residuals, z, at, asked, free, steps)
+            jacobians |= fresh
+            evaluations += used
+            if response is not None:
+                for b, (slopes, columns) in fresh.items():
+                    steps[b, columns] = _adapted(steps[b, columns], slopes, response)
         tried = np.repeat(active, len(DAMPINGS))
         factors = np.tile(DAMPINGS, len(active)) * damping[tried]
         proposals = np.array([_step(z[b], at[b], *jacobians[b], f) for b, f in zip(tried, factors, strict=True)])
@@ -92,12 +107,13 @@ def descend(
             gain = 1.0 - costs[row, winner] / cost[b]
             pick = row * len(DAMPINGS) + winner
             z[b], at[b], cost[b] = proposals[pick], answers[pick], costs[row, winner]
+            del jacobians[int(b)]
             damping[b] = np.clip(factors[pick] / 3.0, 1e-9, 1e6)
             if gain < tolerance:
                 rest[b] = converged[b] = True
         if hopeless is not None:
             rest |= hopeless(cost)
-    return Descent(z, cost, at, converged, evaluations)
+    return Descent(z, cost, at, converged, steps, evaluations)
 
 
 def _cost(residuals: Array) -> Array:
@@ -116,17 +132,18 @@ def _jacobians(
 ) -> tuple[dict[int, tuple[Array, NDArray[np.int64]]], int]:
     """For each active problem its Jacobian (R, k) and the k columns of z it belongs to."""
     columns = {int(b): np.flatnonzero(free[b]) for b in active}
+    points = {b: moved(z[b], steps[b], c) for b, c in columns.items()}
     owners = np.concatenate([np.full(len(c), b) for b, c in columns.items()])
-    moved = z[owners]
-    which = np.concatenate(list(columns.values()))
-    signed = np.where(moved[np.arange(len(which)), which] + steps[which] <= 1.0, steps[which], -steps[which])
-    moved[np.arange(len(which)), which] += signed
-    answers = residuals(moved, owners)
-    slopes = np.nan_to_num((answers - at[owners]) / signed[:, None])
-    found = {}
-    for b, c in columns.items():
-        found[b] = (slopes[owners == b].T, c)
-    return found, len(owners)
+    answers = residuals(np.concatenate([where for where, _ in points.values()]), owners)
+    slopes = {b: (jacobian(at[b], answers[owners == b], points[b][1]), c) for b, c in columns.items()}
+    return slopes, len(owners)
+
+
+def _adapted(steps: Array, slopes: Array, response: float) -> Array:
+    """(k,) finite differences that change residuals with slopes (R, k) by about `response`."""
+    change = np.sqrt(np.mean(slopes**2, axis=0)) * steps
+    factors = response / np.maximum(change, 1e-12)
+    return np.asarray(np.clip(steps * np.clip(factors, 1.0 / RESCALED, RESCALED), SMALLEST, LARGEST))
 
 
 def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], damping: float) -> Array:

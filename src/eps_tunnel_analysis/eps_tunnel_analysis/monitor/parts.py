@@ -3,7 +3,14 @@
 
 from dataclasses import dataclass
 
+import mujoco
+import numpy as np
+
+from labyrinth_sim.build import compiled
+from labyrinth_sim.model import Model
+
 Point = tuple[float, float]
+HOLE = "hole_"
 
 
 @dataclass(frozen=True)
@@ -25,7 +32,7 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class Rig:
+class RigPart:
     """What is fixed while the model's rig is.
 
     Attributes:
@@ -65,7 +72,7 @@ class Connections:
 
 
 @dataclass(frozen=True)
-class Run:
+class RunPart:
     """The run under way or the last one: trial from 0; phase as the player says; share 0..1; time_left, duration s."""
 
     sequence: str
@@ -78,14 +85,18 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Gap:
-    """Alikeness of the command last played: shares (m, n) and joint (n,) over n factors ks; None where not known."""
+class GapPart:
+    """Alikeness of the command last played: shares (m, n) and joint (n,) over n factors ks; None where not known.
+
+    rig: (n,) what the rig reaches against itself, jointly; empty with too few trials.
+    """
 
     model: str
     signals: tuple[str, ...]
     ks: tuple[float, ...]
     shares: tuple[tuple[float | None, ...], ...]
     joint: tuple[float | None, ...]
+    rig: tuple[float | None, ...]
     samples: int
     trials: int
 
@@ -116,7 +127,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerdictPart:
     """What a diagnosis said. hypotheses: (name, probability, whether in the stated set); where: spans outside the
     tunnel as (signal, start, end) in s; held_out: errors on samples kept from the fit, rad, of the model as given, with
     its values refitted, with the effects added; report: address, next_experiment: name or path, "" where none."""
@@ -135,7 +146,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Step:
+class StaircaseStep:
     """One step of the staircase: a model and what it left.
 
     Attributes:
@@ -155,7 +166,7 @@ class Step:
 class Staircase:
     """Every model in the order it was tried."""
 
-    steps: tuple[Step, ...] = ()
+    steps: tuple[StaircaseStep, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -169,7 +180,10 @@ class Job:
 
 @dataclass(frozen=True)
 class Health:
-    """Samples received on all topics, and those that went wrong on their way, since the analysis started."""
+    """Samples received on all topics, and those that went wrong on their way, since the analysis started.
+
+    troubled: share of the latest samples that came late or not at all.
+    """
 
     received: int
     late: int
@@ -178,6 +192,14 @@ class Health:
     duplicated: int
     restarts: int
     clock_jumps: int
+    troubled: float = 0.0
+
+
+@dataclass(frozen=True)
+class Past:
+    """Trials that can be looked at again: number, and when the next one began, seconds since 1970; oldest first."""
+
+    trials: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -187,4 +209,57 @@ class Log:
     entries: tuple[tuple[int, float, str, str], ...] = ()
 
 
-Part = Rig | Choices | Connections | Run | Gap | Before | Scene | Verdict | Staircase | Job | Health | Log
+Part = (
+    RigPart
+    | Choices
+    | Connections
+    | RunPart
+    | GapPart
+    | Before
+    | Scene
+    | VerdictPart
+    | Staircase
+    | Job
+    | Health
+    | Past
+    | Log
+)
+
+
+def rig_of(model: Model) -> RigPart:
+    """The rig as the page shows it."""
+    axes = tuple(m.signal for a in model.rig.axes for m in a.measured if m.quantity == "position")
+    reach = max(max(map(abs, a.limits)) for a in model.rig.axes)
+    floor = floor_of(model)
+    loads = [m.signal for a in model.rig.axes for m in a.measured if (m.joint, m.quantity) == (a.load, "position")]
+    tilt = (loads[0], loads[1]) if floor is not None and len(loads) == 2 else None
+    return RigPart(model.rig.name, axes, reach, tilt, floor)
+
+
+def floor_of(model: Model) -> Floor | None:
+    """Walls are the boxes of the body that carries the ball's frame, holes its sites `hole_*`; None without a ball."""
+    if model.rig.ball is None:
+        return None
+    mj = compiled(model, with_ball=True).mj
+    frame = mj.site(model.rig.ball.site)
+    origin, body = frame.pos[:2], int(frame.bodyid[0])
+    boxes = []
+    for i in np.flatnonzero((mj.geom_bodyid == body) & (mj.geom_type == mujoco.mjtGeom.mjGEOM_BOX)):
+        middle, half = mj.geom_pos[i][:2] - origin, mj.geom_size[i][:2]
+        boxes.append((middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1]))
+    holes = [mj.site(i) for i in range(mj.nsite) if mj.site(i).name.startswith(HOLE) and mj.site_bodyid[i] == body]
+    ball = mj.joint(model.rig.ball.joint)
+    radius = float(mj.geom_size[mj.body(int(ball.bodyid[0])).geomadr[0]][0])
+    # The frame's origin is the board's corner, and the body turns about the board's centre.
+    size = tuple(float(v) for v in -2 * origin) if (origin < 0).all() else _reach(boxes)
+    return Floor(
+        size=(size[0], size[1]),
+        walls=tuple(tuple(round(float(v), 5) for v in box) for box in boxes),  # type: ignore[misc]
+        holes=tuple((round(float(h.pos[0] - origin[0]), 5), round(float(h.pos[1] - origin[1]), 5)) for h in holes),
+        hole_radius=float(holes[0].size[0]) if holes else 0.0,
+        ball_radius=radius,
+    )
+
+
+def _reach(boxes: list[tuple[float, float, float, float]]) -> tuple[float, float]:
+    return (max((b[1] for b in boxes), default=0.3), max((b[3] for b in boxes), default=0.3))

@@ -2,6 +2,7 @@
 """What the page may ask for, from JSON to values."""
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,18 +10,21 @@ from typing import Any
 from labyrinth_sim.errors import InputError, unknown_name
 
 MOST_TRIALS = 1000
-LONGEST = 10_000  # characters of a message
+MOST_EFFECTS = 20
+LONGEST_NAME = 1000  # characters; the path of a proposed experiment is a name too
+LONGEST_REQUEST = 10_000  # characters of a message
+_EFFECT = re.compile(r"\w{1,60}(\.\w{1,60})?", re.ASCII)
 
 
 @dataclass(frozen=True)
-class Arm:
+class ArmRequest:
     """Allows the page to move the rig, or no longer."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class Play:
+class PlayRequest:
     """Plays a sequence on both sides and records it; trials 0: as the sequence says."""
 
     sequence: str
@@ -28,23 +32,23 @@ class Play:
 
 
 @dataclass(frozen=True)
-class Stop:
+class StopRequest:
     """Stops whatever is under way."""
 
 
 @dataclass(frozen=True)
-class Diagnose:
+class DiagnoseRequest:
     """Asks what the model lacks, by the bags of the last run."""
 
 
 @dataclass(frozen=True)
-class Add:
+class AddRequest:
     """Adds effects to the model, fits them, and has the simulation run the result."""
 
     names: tuple[str, ...]
 
 
-Request = Arm | Play | Stop | Diagnose | Add
+Request = ArmRequest | PlayRequest | StopRequest | DiagnoseRequest | AddRequest
 
 
 def parse_request(text: str | bytes) -> Request:
@@ -53,12 +57,14 @@ def parse_request(text: str | bytes) -> Request:
     Raises:
         InputError: no JSON, an unknown word, a field that is missing or of the wrong kind.
     """
-    if len(text) > LONGEST:
-        raise InputError(f"A request of {len(text)} characters is too long; at most {LONGEST}.")
+    if len(text) > LONGEST_REQUEST:
+        raise InputError(f"A request of {len(text)} characters is too long; at most {LONGEST_REQUEST}.")
     try:
         content = json.loads(text)
     except ValueError as error:
         raise InputError(f"A request must be JSON: {error}.") from error
+    except RecursionError as error:
+        raise InputError("A request is an object with plain entries; this one is nested too deeply.") from error
     if not isinstance(content, dict) or not isinstance(content.get("do"), str):
         raise InputError('A request must be an object with an entry "do".')
     if content["do"] not in _READERS:
@@ -66,37 +72,41 @@ def parse_request(text: str | bytes) -> Request:
     return _READERS[content["do"]](content)
 
 
-def _play(content: Mapping[str, Any]) -> Play:
+def _play(content: Mapping[str, Any]) -> PlayRequest:
     trials = content.get("trials", 0)
     if isinstance(trials, bool) or not isinstance(trials, int) or not 0 <= trials <= MOST_TRIALS:
-        raise InputError(f'"trials" must be a whole number from 0 to {MOST_TRIALS}, got {trials!r}.')
-    return Play(_word(content, "sequence"), trials)
+        raise InputError(f'"trials" must be a whole number from 0 to {MOST_TRIALS}, got {trials!r:.200}.')
+    return PlayRequest(_word(content, "sequence"), trials)
 
 
-def _add(content: Mapping[str, Any]) -> Add:
+def _add(content: Mapping[str, Any]) -> AddRequest:
     names = content.get("names")
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) and n for n in names):
-        raise InputError(f'"names" must be a list of effects as backlash.x, got {names!r}.')
-    return Add(tuple(names))
+    if not isinstance(names, list) or not 0 < len(names) <= MOST_EFFECTS or not all(map(_is_effect, names)):
+        raise InputError(f'"names" must be a list of up to {MOST_EFFECTS} effects as backlash.x, got {names!r:.200}.')
+    return AddRequest(tuple(names))
 
 
-def _arm(content: Mapping[str, Any]) -> Arm:
+def _arm(content: Mapping[str, Any]) -> ArmRequest:
     if not isinstance(content.get("on"), bool):
-        raise InputError(f'"on" must be true or false, got {content.get("on")!r}.')
-    return Arm(content["on"])
+        raise InputError(f'"on" must be true or false, got {content.get("on")!r:.200}.')
+    return ArmRequest(content["on"])
 
 
 def _word(content: Mapping[str, Any], key: str) -> str:
     word = content.get(key)
-    if not isinstance(word, str) or not word:
-        raise InputError(f'"{key}" must be a name, got {word!r}.')
+    if not isinstance(word, str) or not 0 < len(word) <= LONGEST_NAME:
+        raise InputError(f'"{key}" must be a name of 1 to {LONGEST_NAME} characters, got {word!r:.200}.')
     return word
+
+
+def _is_effect(name: object) -> bool:
+    return isinstance(name, str) and _EFFECT.fullmatch(name) is not None
 
 
 _READERS: dict[str, Callable[[Mapping[str, Any]], Request]] = {
     "arm": _arm,
     "play": _play,
-    "stop": lambda _: Stop(),
-    "diagnose": lambda _: Diagnose(),
+    "stop": lambda _: StopRequest(),
+    "diagnose": lambda _: DiagnoseRequest(),
     "add": _add,
 }

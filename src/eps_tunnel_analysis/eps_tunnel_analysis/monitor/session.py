@@ -2,26 +2,107 @@
 """The course of a session at the page: play, diagnose, add, play again. One thing at a time."""
 
 import queue
+import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Protocol
 
-from eps_tunnel_analysis.cli.folder import numbered_folder
-from eps_tunnel_analysis.monitor.floor import rig_of
-from eps_tunnel_analysis.monitor.parts import Choices, Connections, Job, Run
-from eps_tunnel_analysis.monitor.requests import Add, Arm, Diagnose, Play, Request, Stop
-from eps_tunnel_analysis.monitor.state import State
-from eps_tunnel_analysis.monitor.steps import BY_HAND, Steps
-from eps_tunnel_analysis.monitor.work import Done, Work, verdict_of
+from eps_tunnel_analysis.monitor.parts import Choices, Connections, Job, RunPart, VerdictPart, rig_of
+from eps_tunnel_analysis.monitor.requests import (
+    AddRequest,
+    ArmRequest,
+    DiagnoseRequest,
+    PlayRequest,
+    Request,
+    StopRequest,
+)
+from eps_tunnel_analysis.monitor.state import BY_HAND, State, Steps
+from eps_tunnel_analysis.outputs import numbered_folder
+from eps_tunnel_analysis.processes import CommandResult
 from eps_tunnel_analysis.sequence_file import find_sequence
+from eps_tunnel_analysis.tasks import AddTask, DiagnoseTask, run_task
+from eps_tunnel_analysis.terminal import rollout_line
 from labyrinth_sim import config
-from labyrinth_sim.effect import effects
-from labyrinth_sim.errors import InputError
+from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import load_model
+from labyrinth_sim.registry import Registry
 
 UNWATCHED = 20.0  # s without an open page after which the rig is no longer armed
 EXPERIMENT = "next_experiment.yaml"
+
+
+class Work:
+    """A task in a process of its own, if any.
+
+    Attributes:
+        doing: how far it is, in words.
+        began: monotonic s.
+    """
+
+    def __init__(self) -> None:
+        self._threads = ThreadPoolExecutor(1, "work")
+        self._stop = threading.Event()
+        self._task: DiagnoseTask | AddTask | None = None
+        self._result: Future[CommandResult] = Future()
+        self.doing, self.began = "", 0.0
+
+    @property
+    def kind(self) -> str:
+        """ "diagnose", "add", or "" where nothing runs."""
+        return self._task.kind if self._task else ""
+
+    def start(self, task: DiagnoseTask | AddTask) -> None:
+        """Begins a task; `ended` reports its end."""
+        self._stop.clear()
+        self._task, self.doing, self.began = task, "reading the bags", time.monotonic()
+        self._result = self._threads.submit(run_task, task, self._show, self._stop.is_set)
+
+    def stop(self) -> None:
+        """Interrupts what runs."""
+        self._stop.set()
+
+    def close(self) -> None:
+        """Interrupts what runs and waits for its end."""
+        self._stop.set()
+        self._threads.shutdown()
+
+    def ended(self) -> tuple[Path, dict[str, Any] | None, str, str] | None:
+        """The task that ended since the last call: what it wrote, its content or None, its kind, and a complaint."""
+        if self._task is None or not self._result.done():
+            return None
+        task, self._task = self._task, None
+        try:
+            result = self._result.result()
+        except Exception as error:  # a thread that died silently would leave the page waiting for ever
+            return task.out, None, task.kind, f"It failed: {error!r}."
+        if self._stop.is_set():
+            return task.out, None, task.kind, "Stopped."
+        return task.out, result.content, task.kind, "\n".join(result.complaint.splitlines()[-5:])
+
+    def _show(self, progress: dict[str, Any]) -> None:
+        self.doing = rollout_line(
+            progress["doing"], progress["rollouts"], progress["of"], time.monotonic() - self.began
+        )
+
+
+def verdict_of(content: dict[str, Any], report: str, experiment: str) -> VerdictPart:
+    """The verdict in a diagnosis.json."""
+    stated = content["stated_set"]
+    return VerdictPart(
+        verdict=content["verdict"],
+        sentence=content["sentence"],
+        effects=tuple(content["effects"]),
+        hypotheses=tuple((name, p, name in stated) for name, p in content["set"].items()),
+        where=tuple((s["signal"] or "", s["start"], s["end"]) for s in content["where"]),
+        coverage=content["coverage"],
+        held_out=(content["held_out_as_given"], content["held_out_before"], content["held_out_after"]),
+        model=content["model"],
+        next_experiment=experiment,
+        report=report,
+        notes=tuple(content["notes"]),
+    )
 
 
 class RigAccess(Protocol):
@@ -33,7 +114,7 @@ class RigAccess(Protocol):
 
     @property
     def playing(self) -> bool:
-        """Whether a run was asked for and has not ended; its end is told to `Session.played`."""
+        """Whether a run was asked for and has not ended; `Session.played` is called at its end."""
 
     def alive(self, side: str) -> bool:
         """Whether a side measures."""
@@ -49,7 +130,7 @@ class RigAccess(Protocol):
         """Has the run end early."""
 
     def load(self, model: Path) -> None:
-        """Has the simulation run a model; whether it does is told to `Session.loaded`."""
+        """Has the simulation run a model; `Session.loaded` is called with the answer."""
 
     def publish(self, verdict: dict[str, Any], report: str) -> None:
         """Tells everybody the content of a diagnosis.json."""
@@ -60,7 +141,7 @@ class Session:
 
     Args:
         out: folder in which monitor-N is made once something is to be kept.
-        model: name or path of the model to diagnose where the simulation tells no file.
+        model: name or path of the model to diagnose where the simulation reports no file.
         candidates: effects to consider in a diagnosis; none for all.
 
     Attributes:
@@ -72,9 +153,9 @@ class Session:
     ) -> None:
         self._state, self._steps, self._rig = state, steps, rig
         self._out, self._given_model, self._candidates = out, model, tuple(candidates)
+        self._registry = Registry.load()
         self._requests: queue.Queue[Request] = queue.Queue()
-        self._done: queue.Queue[Done] = queue.Queue()
-        self._work = Work(self._done.put)
+        self._work = Work()
         self._folder: Path | None = None
         self._made = {"play": 0, "diagnosis": 0, "model": 0}
         self._bags: tuple[str, ...] = ()
@@ -83,6 +164,7 @@ class Session:
         self._began = 0.0
         self._sequence = self._adding = ""
         self._experiments: list[str] = []
+        self._offered: tuple[str, ...] = ()
         self.reports: dict[int, Path] = {}
         self._offer()
 
@@ -92,16 +174,16 @@ class Session:
 
     def look(self, pages: int) -> None:
         """Does what was asked for and what follows from work that ended; `pages` are open. To be called often."""
-        while not self._done.empty():
-            self._worked(self._done.get())
+        if ended := self._work.ended():
+            self._worked(*ended)
         while not self._requests.empty():
             request = self._requests.get()
             try:
                 self._do(request)
-            except InputError as error:
+            except (InputError, OSError) as error:
                 self._state.note(str(error), "error")
         self._disarm_unwatched(pages)
-        self._tell()
+        self._show()
 
     def show_rig(self) -> None:
         """Shows the rig of the model that runs now."""
@@ -112,7 +194,7 @@ class Session:
 
     def progress(self, trial: int, trials: int, phase: str, share: float, left: float, duration: float) -> None:
         """How far the run is: trial from 0, `share` 0..1; `left`, and the command's `duration`, in s."""
-        self._state.put(Run(self._sequence, trial, trials, phase, round(share, 3), round(left, 1), duration))
+        self._state.put(RunPart(self._sequence, trial, trials, phase, round(share, 3), round(left, 1), duration))
 
     def played(self, success: bool, message: str, bags: Sequence[str]) -> None:
         """The run ended, with these bags."""
@@ -137,42 +219,48 @@ class Session:
 
     def _do(self, request: Request) -> None:
         match request:
-            case Arm(on):
+            case ArmRequest(on):
                 self._armed = on
                 self._state.note("The rig is armed: Play moves it." if on else "The rig is no longer armed.")
-            case Stop():
+            case StopRequest():
                 self._rig.stop()
                 self._work.stop()
-            case Play():
+            case PlayRequest():
                 self._play(request)
-            case Diagnose():
+            case DiagnoseRequest():
                 bags, model = self._materials()
-                self._work.diagnose(bags, model, self._new("diagnosis"), self._candidates)
-            case Add(names):
+                out = self._new("diagnosis")
+                self._work.start(DiagnoseTask(bags=bags, model=model, out=out, candidates=self._candidates))
+            case AddRequest(names):
+                self._registry.check(names)
                 bags, model = self._materials()
                 first = Path(model).stem if not self._made["model"] else Path(model).stem.rpartition("_")[0]
-                self._work.add(names, bags, model, self._new("model", f"{first}_{{}}.yaml"))
+                out = self._new("model", f"{first}_{{}}.yaml")
+                self._work.start(AddTask(bags=bags, model=model, out=out, names=names))
                 self._adding = " + ".join(names)
 
-    def _play(self, request: Play) -> None:
+    def _play(self, request: PlayRequest) -> None:
         self._refuse_when_busy()
         if not self._armed:
             raise InputError("Arm the rig first: playing moves it.")
         if not self._rig.ready:
             raise InputError("Nobody plays. Start `ros2 run eps_tunnel_analysis player`.")
+        # A path that came over the wire is not looked up: what is offered is all there is.
+        if request.sequence not in self._offered:
+            raise InputError(unknown_name("sequence", request.sequence, self._offered))
         found = find_sequence(request.sequence)
         self._sequence, self._began = found.name, time.monotonic()
         self.progress(0, (request.trials or found.trials) * len(found.commands), "connecting", 0.0, 0.0, 0.0)
         self._rig.play(request.sequence, request.trials, self._new("play"))
 
-    def _materials(self) -> tuple[tuple[str, ...], str]:
+    def _materials(self) -> tuple[tuple[Path, ...], str]:
         """Bags and model to work with."""
         self._refuse_when_busy()
         if not self._bags:
             raise InputError("Play a sequence first: the bags of the last run are what is diagnosed.")
         if not self._model:
-            raise InputError("The simulation does not tell its model's file. Name it: `-p model:=...`.")
-        return self._bags, self._model
+            raise InputError("The simulation does not report its model's file. Name it: `-p model:=...`.")
+        return tuple(map(Path, self._bags)), self._model
 
     def _refuse_when_busy(self) -> None:
         if self._rig.playing or self._work.kind or self._loading:
@@ -185,16 +273,16 @@ class Session:
         self._made[kind] += 1
         return self._folder / (name or f"{kind}-{{}}").format(self._made[kind])
 
-    def _worked(self, done: Done) -> None:
-        if done.content is None:
-            self._state.note(done.complaint, "error")
-        elif done.kind == "diagnose":
-            self._diagnosed(done.out, done.content)
+    def _worked(self, out: Path, content: dict[str, Any] | None, kind: str, complaint: str) -> None:
+        if content is None:
+            self._state.note(complaint, "error")
+        elif kind == "diagnose":
+            self._diagnosed(out, content)
         else:
-            self._steps.announce(f"+ {self._adding}", done.content["after"]["held_out"])
-            self._state.note(done.content["sentence"])
+            self._steps.announce(f"+ {self._adding}", content["after"]["held_out"])
+            self._state.note(content["sentence"])
             self._loading, self._began = True, time.monotonic()
-            self._rig.load(done.out)
+            self._rig.load(out)
 
     def _diagnosed(self, folder: Path, content: dict[str, Any]) -> None:
         number = len(self.reports) + 1
@@ -219,7 +307,9 @@ class Session:
                 continue
             duration = sum(command.duration for command in found.commands)
             sequences.append((name, found.description, found.trials, duration))
-        self._state.put(Choices(tuple(sequences), tuple(sorted(effects()))))
+        self._offered = tuple(name for name, *_ in sequences)
+        names = sorted(n for n, e in self._registry.effects.items() if not e.nameless)
+        self._state.put(Choices(tuple(sequences), tuple(names)))
 
     def _disarm_unwatched(self, pages: int) -> None:
         now = time.monotonic()
@@ -229,7 +319,7 @@ class Session:
             self._armed = False
             self._state.note("No page is open any more, so the rig is no longer armed.")
 
-    def _tell(self) -> None:
+    def _show(self) -> None:
         rig = self._rig
         self._state.put(
             Connections(
@@ -237,9 +327,9 @@ class Session:
                 model=self._steps.model, file=self._model, armed=self._armed,
             )
         )  # fmt: skip
-        kind, told, began = self._work.kind, self._work.told, self._work.began
+        kind, doing, began = self._work.kind, self._work.doing, self._work.began
         if rig.playing:
-            kind, told, began = "play", "", self._began
+            kind, doing, began = "play", "", self._began
         elif self._loading:
-            kind, told, began = "add", "loading the model", self._began
-        self._state.put(Job(kind, told, float(round(time.monotonic() - began)) if kind else 0.0))
+            kind, doing, began = "add", "loading the model", self._began
+        self._state.put(Job(kind, doing, float(round(time.monotonic() - began)) if kind else 0.0))

@@ -2,40 +2,42 @@
 """Records both sides, and follows the gap between them while they run."""
 
 import sys
+import time
 from array import array
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from eps_tunnel_analysis.alikeness import KS
-from eps_tunnel_analysis.live import LiveGap
-from eps_tunnel_analysis.live_counts import StampCounts
-from eps_tunnel_analysis.live_figures import Figures, Judged
+from eps_tunnel_analysis.live import Figures, Judged, LiveGap, StampCounts
 from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
 from eps_tunnel_analysis.nodes.diagnose_server import DiagnoseServer
-from eps_tunnel_analysis.nodes.message_times import nanoseconds, to_time
-from eps_tunnel_analysis.nodes.recorder import PERIOD, Recorder
+from eps_tunnel_analysis.nodes.messages import nanoseconds, to_time
+from eps_tunnel_analysis.nodes.recorder import TAKE_PERIOD, Recorder
 from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
-from labyrinth_msgs.msg import BallState, LiveCounters, Srg, Trial, TunnelSample
+from labyrinth_msgs.msg import BallState, LiveCounters, RunningModel, Srg, Trial, TunnelSample
 from labyrinth_msgs.srv import Record
 from labyrinth_sim.errors import InputError
 
 PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTED: "aborted"}
-FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
-UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
-MODEL_KEYS = ("model", "model file", "models loaded")
+SUFFIX_FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
+SUFFIX_UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
 
 
 class AnalysisNode(TunnelNode):
-    """Service /record, action /diagnose; topics /srg, /srg/tunnel, /srg/SIGNAL/alikeness, /srg/diagnosis,
-    /srg/counters, /diagnostics."""
+    """Service record, action diagnose; topics srg, srg/tunnel, srg/SIGNAL/alikeness, srg/diagnosis, srg/counters and
+    /diagnostics."""
 
     def __init__(self) -> None:
         super().__init__("analysis_node")
@@ -47,15 +49,20 @@ class AnalysisNode(TunnelNode):
             "rate", 100.0, "Samples a second of the grid on which both sides are compared", "Hz", 1, 1000
         )
         max_gap = self.parameter("max_gap", 0.1, "Longest span between measurements that is bridged", "s", 0.001, 10)
-        late = self.parameter("late_after", 0.1, "Age at arrival from which a message counts as late", "s", 0.001, 60)
+        late = self.parameter("late_after", 0.1, "Age at arrival from which a message counts as late", "s", 0.001, 60,
+                              changes=True)  # fmt: skip
         srg_rate = self.parameter("srg_rate", 10.0, "Messages a second on /srg", "Hz", 0.1, 100)
-        images = self.parameter("images", False, "Record images, too")
+        images = self.parameter("images", False, "Record images, too", changes=True)
+        self.parameter("connect_timeout", 10.0, "Longest wait of /record for the sides' publishers to be matched", "s",
+                       0, 3600, changes=True)  # fmt: skip
         reference = self.parameter("reference", [""], "Bags of real trials whose tunnels hold from the start")
         if not ks or min(ks) < 0 or len(set(ks)) != len(ks):
             self.complain(f"Parameter 'ks': expected different numbers of at least 0, got {list(ks)}.")
         self.check_parameters()
         self._asked = tuple(name for name in signals if name)
-        self._fields = [suffix for suffix in FIELDS if not suffix or any(name.endswith(suffix) for name in self._asked)]
+        self._fields = [
+            suffix for suffix in SUFFIX_FIELDS if not suffix or any(name.endswith(suffix) for name in self._asked)
+        ]
         self._gap = LiveGap(
             self._units(),
             self._asked,
@@ -68,49 +75,65 @@ class AnalysisNode(TunnelNode):
         self._refer([Path(bag).expanduser() for bag in reference or () if bag], rate, max_gap)
         self._counts: dict[str, StampCounts] = {}
         self._late_after = late
-        # With a told clock, of a replay say, this machine's own says nothing on how late a message came.
-        self._clock_told = bool(self.get_parameter("use_sim_time").value)
+        self.add_post_set_parameters_callback(self._changed)
+        # With a simulated clock, or that of a replay, this machine's own says nothing on how late a message came.
+        self._sim_time = bool(self.get_parameter("use_sim_time").value)
         self._stamp, self._told_trials = 0, -1
         self._model: tuple[str, ...] | None = None
-        self._recorder = Recorder(self, SIDES, self._received, images)
+        self._recorder = Recorder(self, SIDES, self._received, images, self._sim_time)
         overridable = {"qos_overriding_options": QoSOverridingOptions.with_default_policies()}
-        self._srg = self.create_publisher(Srg, "/srg", 10, **overridable)
-        self._tunnel = self.create_publisher(TunnelSample, "/srg/tunnel", 100, **overridable)
+        self._srg = self.create_publisher(Srg, "srg", 10, **overridable)
+        self._tunnel = self.create_publisher(TunnelSample, "srg/tunnel", 100, **overridable)
         self._numbers: dict[str, Publisher] = {}
         self._diagnose = DiagnoseServer(self)
-        self._counters = self.create_publisher(LiveCounters, "/srg/counters", 10, **overridable)
+        self._counters = self.create_publisher(LiveCounters, "srg/counters", 10, **overridable)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._note_models, 10)
-        self.create_service(Record, "/record", self._record)
+        self._next_look: Future[None] | None = None
+        # Of its own, so that all else goes on while an answer waits.
+        self.create_service(Record, "record", self._record, callback_group=MutuallyExclusiveCallbackGroup())
         self.create_timer(1 / srg_rate, self._tell_figures)
         self.create_timer(1.0, self._tell_health)
 
+    def _changed(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name == "images":
+                self._recorder.images = bool(parameter.value)
+            elif parameter.name == "late_after":
+                self._late_after = float(parameter.value)
+                for counts in self._counts.values():
+                    counts.late_after = self._late_after
+
     @property
     def busy(self) -> bool:
-        return self._diagnose.busy
+        return self._diagnose.busy or self._next_look is not None
 
     @property
     def poll_period(self) -> float:
-        return PERIOD
+        return TAKE_PERIOD
 
     def poll(self) -> None:
         self._recorder.take()
+        if self._next_look is not None:
+            self._next_look.set_result(None)
 
     def close(self) -> None:
         self._diagnose.close()
         for bag in self._recorder.bags:
             self.get_logger().info(f"Closing {bag}.")
-        try:
-            self._recorder.stop()
-        except InputError:
+        self._recorder.stop()
+        if self._recorder.errors:
             self.exit_code = 1
 
     def _units(self) -> dict[str, str]:
-        units = {name: UNITS[suffix] for name in self._asked for suffix in UNITS if suffix and name.endswith(suffix)}
+        units = {
+            name: SUFFIX_UNITS[suffix]
+            for name in self._asked
+            for suffix in SUFFIX_UNITS
+            if suffix and name.endswith(suffix)
+        }
         return {**units, "ball_x": "m", "ball_y": "m"}
 
-    def _received(self, side: str, topic: str, raw: bytes, arrival: int) -> None:
-        name = topic.removeprefix(f"/{side}/")
+    def _received(self, side: str, name: str, topic: str, raw: bytes, arrival: int) -> None:
         if name == "trial":
             self._marked(side, deserialize_message(raw, Trial), topic)
         elif name == "joint_states":
@@ -125,12 +148,14 @@ class AnalysisNode(TunnelNode):
             # Where the ball is not seen there is no measurement; a gap follows.
             if self._counted(side, topic, stamp, arrival) and ball.visible:
                 self._judged(self._gap.add(side, name, ("ball_x", "ball_y"), stamp, np.array([ball.x, ball.y])))
+        elif name == "model" and side == "sim":
+            self._note_model(deserialize_message(raw, RunningModel))
 
     def _joint_values(self, message: JointState) -> tuple[tuple[str, ...], np.ndarray]:
         names: list[str] = []
         values: list[float] = []
         for suffix in self._fields:
-            column = getattr(message, FIELDS[suffix])
+            column = getattr(message, SUFFIX_FIELDS[suffix])
             if len(column) == len(message.name):
                 names += [f"{joint}{suffix}" for joint in message.name]
                 values += column
@@ -148,7 +173,7 @@ class AnalysisNode(TunnelNode):
             self.get_logger().info(f"{play.trials.count} trials of {play.name} are the reference.")
 
     def _counted(self, side: str, topic: str, stamp: int, arrival: int) -> bool:
-        if self._clock_told:
+        if self._sim_time:
             arrival = self.get_clock().now().nanoseconds
         if topic not in self._counts:
             self._counts[topic] = StampCounts(late_after=self._late_after)
@@ -157,7 +182,7 @@ class AnalysisNode(TunnelNode):
         in_order = counts.add(stamp, arrival)
         if counts.clock_jumps > jumps:
             self._gap.jumped(side)
-            self.get_logger().warning(f"The stamps on {topic} jumped; a trial that runs on /{side} is left out.")
+            self.get_logger().warning(f"The stamps on {topic} jumped; the running trial of that side is left out.")
         return in_order
 
     def _marked(self, side: str, message: Trial, topic: str) -> None:
@@ -194,6 +219,8 @@ class AnalysisNode(TunnelNode):
         message = Srg(
             signals=list(figures.signals), k=list(figures.ks), alikeness=figures.shares.ravel().tolist(),
             joint=figures.joint.tolist(), samples=figures.samples, trials=figures.trials,
+            rig_alikeness=figures.itself.ravel().tolist() if figures.yardstick else [],
+            rig_joint=figures.itself_joint.tolist() if figures.yardstick else [],
         )  # fmt: skip
         message.header.stamp = to_time(self._stamp)
         self._srg.publish(message)
@@ -203,50 +230,68 @@ class AnalysisNode(TunnelNode):
             shares = ", ".join(
                 f"k={k:g} {100 * share:.1f} %" for k, share in zip(figures.ks, figures.joint, strict=True)
             )
+            if figures.yardstick:
+                rig = ", ".join(f"{100 * share:.1f} %" for share in figures.itself_joint)
+                shares += f"; the rig against itself {rig}"
             self.get_logger().info(f"{figures.command}: {figures.trials} trials, jointly alike {shares}.")
 
     def _tell_numbers(self, figures: Figures) -> None:
         first = figures.ks.index(min(figures.ks))
         for row, signal in enumerate(figures.signals):
             if signal not in self._numbers:
-                self._numbers[signal] = self.create_publisher(Float64, f"/srg/{signal}/alikeness", 10)
+                self._numbers[signal] = self.create_publisher(Float64, f"srg/{signal}/alikeness", 10)
             self._numbers[signal].publish(Float64(data=float(figures.shares[row, first])))
 
-    def _record(self, request: Record.Request, response: Record.Response) -> Record.Response:
+    async def _matched(self, sides: Sequence[str]) -> list[str]:
+        """Waits until everybody who publishes is heard, and returns who is not, in words."""
+        deadline = time.monotonic() + float(self.get_parameter("connect_timeout").value or 0.0)
+        while True:
+            self._recorder.look()
+            missing = self._recorder.missing(sides)
+            if (not missing and self._recorder.settled) or time.monotonic() >= deadline:
+                return missing
+            if self.stopping.is_set():
+                raise InputError("The analysis node is being stopped.")
+            self._next_look = Future()
+            await self._next_look
+            self._next_look = None
+
+    async def _record(self, request: Record.Request, response: Record.Response) -> Record.Response:
         try:
             if request.start:
                 if not request.folder or not request.label or "/" in request.label:
                     raise InputError("Give a `folder`, and a `label` without '/', for the bags to record.")
                 metadata = {"sequence": request.sequence, "sequence_hash": request.sequence_hash}
-                self._recorder.look()
-                response.bags = self._recorder.start(Path(request.folder).expanduser(), request.label, metadata)
+                self._recorder.check(request.sides)
+                missing = await self._matched(request.sides)
+                folder = Path(request.folder).expanduser()
+                response.bags = self._recorder.start(folder, request.label, metadata, request.sides)
                 response.message = f"Recording {', '.join(response.bags)}."
+                if missing:
+                    response.message += f" Not matched yet: {', '.join(missing)}."
             else:
                 if not self._recorder.bags:
                     raise InputError("Nothing is being recorded.")
                 response.bags = self._recorder.stop()
+                if self._recorder.errors:
+                    raise InputError(self._recorder.errors)
                 response.message = f"Recorded {', '.join(response.bags)}."
             response.success = True
             self.get_logger().info(response.message)
         except InputError as error:
-            response.success, response.message = False, str(error)
+            response.success, response.message = False, " ".join(error.complaints)
             self.get_logger().error(response.message)
         return response
 
-    def _note_models(self, message: DiagnosticArray) -> None:
-        """The simulation tells its model in its diagnostics: bags name it, and trials of another do not count."""
-        for status in message.status:
-            told = {entry.key: entry.value for entry in status.values}
-            if status.name.startswith("sim_node") and "model" in told:
-                self._recorder.models["sim"] = told["model"]
-                model = tuple(told.get(key, "") for key in MODEL_KEYS)
-                if self._model is not None and model != self._model:
-                    self._gap.forget("sim")
-                    self._told_trials = -1
-                    self.get_logger().info(
-                        f"The simulation runs '{told['model']}' now; its earlier trials are left out."
-                    )
-                self._model = model
+    def _note_model(self, model: RunningModel) -> None:
+        """Bags name the simulation's model, and trials of another one do not count."""
+        self._recorder.model = model.name
+        told = (model.name, model.file, str(model.loaded))
+        before, self._model = self._model, told
+        if before is not None and before != told:
+            self._gap.forget("sim")
+            self._told_trials = -1
+            self.get_logger().info(f"The simulation runs '{model.name}' now; its earlier trials are left out.")
 
     def _tell_health(self) -> None:
         self._recorder.look()
@@ -265,13 +310,13 @@ class AnalysisNode(TunnelNode):
         troubled = [topic for topic, c in zip(topics, counts, strict=True) if c.troubled]
         level = DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK
         text = f"samples went wrong on {', '.join(troubled)}" if troubled else "every sample in its place"
-        samples = DiagnosticStatus(level=level, name="analysis_node: samples", message=text)
+        samples = DiagnosticStatus(level=level, name=f"{self.full_name}: samples", message=text)
         for topic, c in zip(topics, counts, strict=True):
             samples.values.append(KeyValue(key=topic, value=str(c)))
         errors, bags = self._recorder.errors, self._recorder.bags
         recording = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if errors else DiagnosticStatus.OK,
-            name="analysis_node: recording",
+            name=f"{self.full_name}: recording",
             message=" ".join(errors) or ("recording" if bags else "not recording"),
             values=[KeyValue(key="bag", value=bag) for bag in bags],
         )
@@ -282,7 +327,9 @@ class AnalysisNode(TunnelNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run eps_tunnel_analysis analysis_node`."""
-    return run_node(AnalysisNode, args)
+    return run_node(
+        "analysis_node", "Records both sides, and follows the gap between them while they run.", AnalysisNode, args
+    )
 
 
 if __name__ == "__main__":

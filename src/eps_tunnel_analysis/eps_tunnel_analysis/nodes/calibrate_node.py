@@ -2,22 +2,26 @@
 """Fits a model to recorded bags when asked over ROS."""
 
 import sys
+from pathlib import Path
+from typing import Any
 
-from eps_tunnel_analysis.fit.process import Ended, Told, run_calibration
-from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
-from eps_tunnel_analysis.nodes.one_goal import Handle, OneGoal
+from pydantic import ValidationError
+
+from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode, run_node
+from eps_tunnel_analysis.processes import CommandResult
+from eps_tunnel_analysis.tasks import CalibrateTask, run_task, task_complaint
 from labyrinth_msgs.action import Calibrate
 
 
 class CalibrateNode(TunnelNode):
-    """Action server /calibrate; the fit runs in a process of its own, as `eps-tunnel calibrate`."""
+    """Action server calibrate; the fit runs in a process of its own, as that of `eps-tunnel calibrate`."""
 
     def __init__(self) -> None:
         super().__init__("calibrate_node")
-        self._signals = [s for s in self.parameter("signals", [""], "Signals to fit; empty: every position") or [] if s]
+        self.parameter("signals", [""], "Signals to fit; empty: every position", changes=True)
         self.check_parameters()
         self._goals = OneGoal(
-            self, Calibrate, "/calibrate",
+            self, Calibrate, "calibrate",
             lambda goal: f"Refused to calibrate '{goal.model}': another calibration is under way.", self._work,
         )  # fmt: skip
 
@@ -29,50 +33,60 @@ class CalibrateNode(TunnelNode):
         self._goals.close()
 
     def _work(self, handle: Handle) -> None:
-        def tell(told: Told) -> None:
+        def publish(progress: dict[str, Any]) -> None:
+            count = progress["evaluations"]
             handle.publish_feedback(
-                Calibrate.Feedback(progress=told.share, best=told.best, evaluations=told.evaluations)
+                Calibrate.Feedback(progress=count / progress["of"], best=progress["best"], evaluations=count)
             )
 
         try:
-            ended = run_calibration(arguments(handle.request, self._signals), tell, lambda: self._goals.stopped(handle))
+            signals = [name for name in self.get_parameter("signals").value or [] if name]
+            task = calibrate_task(handle.request, signals)
+            answer = result(run_task(task, publish, lambda: self._goals.stopped(handle)))
+        except ValidationError as error:
+            answer = Calibrate.Result(success=False, message=task_complaint(error))
         except Exception as error:  # a thread that died silently would leave the node busy for ever
-            ended = Ended(False, f"The calibration failed: {error!r}.", {})
-        if ended.success:  # rclpy knows a call by its line, and allows each one severity
-            self.get_logger().info(ended.message)
+            answer = Calibrate.Result(success=False, message=f"The calibration failed: {error!r}.")
+        if answer.success:  # rclpy knows a call by its line, and allows each one severity
+            self.get_logger().info(answer.message)
         else:
-            self.get_logger().error(ended.message)
-        handle.execute(lambda h: self._finish(h, ended))
+            self.get_logger().error(answer.message)
+        handle.execute(lambda h: self._finish(h, answer))
 
-    def _finish(self, handle: Handle, ended: Ended) -> Calibrate.Result:
-        self._goals.settle(handle, ended.success)
-        return result(ended)
-
-
-def arguments(goal: Calibrate.Goal, signals: list[str]) -> list[str]:
-    """A goal as the command line takes it."""
-    given = ["--real", *goal.bags, "--model", goal.model, "--out", goal.out, "--seed", str(goal.seed)]
-    given += ["--method", goal.method] if goal.method else []
-    given += ["--fitness", goal.fitness] if goal.fitness else []
-    return given + (["--signals", *signals] if signals else [])
+    def _finish(self, handle: Handle, answer: Calibrate.Result) -> Calibrate.Result:
+        self._goals.settle(handle, answer.success)
+        return answer
 
 
-def result(ended: Ended) -> Calibrate.Result:
+def calibrate_task(goal: Calibrate.Goal, signals: list[str]) -> CalibrateTask:
+    """A goal as a task. Raises pydantic's ValidationError."""
+    chosen = {key: value for key, value in (("method", goal.method), ("fitness", goal.fitness)) if value}
+    return CalibrateTask(
+        bags=tuple(map(Path, goal.bags)), model=goal.model, out=Path(goal.out), seed=goal.seed, signals=tuple(signals),
+        **chosen,
+    )  # fmt: skip
+
+
+def result(ended: CommandResult) -> Calibrate.Result:
     """The end of a fit as a message: errors are equation 11's over the fitted commands, all signals together."""
-    told = Calibrate.Result(success=ended.success, message=ended.message)
-    if ended.content:
-        plays = len(ended.content["plays"]) - len({p for f in ended.content["fits"] for p in f["held_out_plays"]})
-        sums = [
-            plays * sum(score["error"] if score["error"] is not None else float("inf") for score in scores)
-            for scores in (ended.content["scores"]["before"], ended.content["scores"]["after"])
-        ]
-        told.file, told.error_before, told.error_after = ended.content["out"], float(sums[0]), float(sums[1])
-    return told
+    content = ended.content
+    if content is None:
+        return Calibrate.Result(success=False, message=ended.complaint)
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in content["values"].items())
+    message = f"{'Interrupted; the best so far: ' if content['interrupted'] else ''}{values}."
+    answer = Calibrate.Result(success=not content["interrupted"], message=message, file=content["out"])
+    plays = len(content["plays"]) - len({p for f in content["fits"] for p in f["held_out_plays"]})
+    sums = [
+        plays * sum(score["error"] if score["error"] is not None else float("inf") for score in scores)
+        for scores in (content["scores"]["before"], content["scores"]["after"])
+    ]
+    answer.error_before, answer.error_after = float(sums[0]), float(sums[1])
+    return answer
 
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run eps_tunnel_analysis calibrate_node`."""
-    return run_node(CalibrateNode, args)
+    return run_node("calibrate_node", "Fits a model to recorded bags when asked over ROS.", CalibrateNode, args)
 
 
 if __name__ == "__main__":

@@ -6,22 +6,27 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.nodes.start import start_ros
 
 SIDES = ("real", "sim")
 # Declared by rclpy itself, some only after the node was made.
 _BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+LOOK = 0.05  # s between two looks at timers and services of a node that polls
+CALLBACKS_EACH = 3  # callbacks at each look
 
 
 class TunnelNode(Node):
@@ -39,10 +44,15 @@ class TunnelNode(Node):
         self._complaints: list[str] = []
 
     def parameter(
-        self, name: str, default: Any, text: str, unit: str = "-", low: float | None = None, high: float | None = None
-    ) -> Any:
-        """Declares a parameter and returns its value; what is wrong with it is kept for `check_parameters`."""
-        descriptor = ParameterDescriptor(description=f"{text} [{unit}]", read_only=True)
+        self, name: str, default: Any, text: str, unit: str = "-", low: float | None = None, high: float | None = None,
+        changes: bool = False,
+    ) -> Any:  # fmt: skip
+        """Declares a parameter and returns its value; what is wrong with it is kept for `check_parameters`.
+
+        Args:
+            changes: whether it may be set while the node runs; whoever uses it asks for its value anew.
+        """
+        descriptor = ParameterDescriptor(description=f"{text} [{unit}]", read_only=not changes)
         if low is not None and high is not None:
             if isinstance(default, float):
                 descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
@@ -60,6 +70,11 @@ class TunnelNode(Node):
             )
             return default
 
+    @property
+    def full_name(self) -> str:
+        """The node's name with its namespace, as diagnostics are called."""
+        return str(self.get_fully_qualified_name()).strip("/")
+
     def complain(self, complaint: str) -> None:
         """Keeps a complaint about the parameters for `check_parameters`."""
         self._complaints.append(complaint)
@@ -76,7 +91,7 @@ class TunnelNode(Node):
 
     def sides(self) -> tuple[str, ...]:
         """The parameter `sides`, checked."""
-        sides = tuple(self.parameter("sides", list(SIDES), "Sides that take part; topics lie under /SIDE") or ())
+        sides = tuple(self.parameter("sides", list(SIDES), "Sides that take part; topics lie under SIDE/") or ())
         for side in sides:
             if side not in SIDES:
                 self.complain(unknown_name("side", side, SIDES))
@@ -101,24 +116,24 @@ class TunnelNode(Node):
         """Brings files to their end. Called once, after the last callback."""
 
 
-LOOK = 0.05  # s between two looks at timers and services of a node that polls
-AT_ONCE = 3  # callbacks at each look
-
-
 def _polled(node: TunnelNode, executor: SingleThreadedExecutor) -> None:
     """Polls for LOOK, then serves callbacks. A wake-up of the executor costs more than several polls."""
     for _ in range(max(1, round(LOOK / node.poll_period))):
         node.poll()
         time.sleep(node.poll_period)
-    for _ in range(AT_ONCE):
+    for _ in range(CALLBACKS_EACH):
         executor.spin_once(timeout_sec=0.0)
 
 
 NodeT = TypeVar("NodeT", bound=TunnelNode)
 
 
-def run_node(make: Callable[[], NodeT], args: list[str] | None = None) -> int:
+def run_node(program: str, about: str, make: Callable[[], NodeT], args: list[str] | None = None) -> int:
     """Spins a node until it stops itself or SIGINT or SIGTERM comes.
+
+    Args:
+        program, about: its name, and one sentence for --help.
+        args: the program's words, without its name; those of this process if None.
 
     Returns the exit code: the node's own, or 2 for bad input with the complaints on stderr.
     """
@@ -129,13 +144,13 @@ def run_node(make: Callable[[], NodeT], args: list[str] | None = None) -> int:
     node: NodeT | None = None
     try:
         # rclpy's own handlers would take the context away before the last mark is published and the bags are closed.
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        start_ros(program, about, sys.argv[1:] if args is None else args)
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         # Wakes the executor so that a signal is seen; a timeout on each spin would cost more.
         if not node.poll_period:
-            node.create_timer(0.1, lambda: None)
+            node.create_timer(0.1, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))  # ROS time may stand
         while not node.stopping.is_set() or node.busy:
             if node.poll_period:
                 _polled(node, executor)
@@ -152,8 +167,8 @@ def run_node(make: Callable[[], NodeT], args: list[str] | None = None) -> int:
         for complaint in error.complaints:
             print(complaint, file=sys.stderr)
         return 2
-    except rclpy_implementation.RCLError as error:  # a wrong --ros-args is told here
-        print(error, file=sys.stderr)
+    except rclpy_implementation.RCLError as error:  # what rcl refuses only with the node, as a wrong name
+        print(f"{program}: {error}", file=sys.stderr)
         return 2
     except ExternalShutdownException:
         return 0
@@ -163,3 +178,78 @@ def run_node(make: Callable[[], NodeT], args: list[str] | None = None) -> int:
         rclpy.try_shutdown()
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
+
+
+class OneGoal:
+    """Takes a goal when nothing is under way, and refuses it otherwise.
+
+    Args:
+        kind, name: of the action.
+        refusal: what to tell of a goal that is refused.
+        work: does a goal; ends with `handle.execute` of what calls `settle`.
+    """
+
+    def __init__(
+        self, node: TunnelNode, kind: Any, name: str, refusal: Callable[[Any], str], work: Callable[[Handle], None]
+    ) -> None:
+        self._node, self._refusal, self._name = node, refusal, name.strip("/")
+        self._working = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._server = ActionServer(
+            node, kind, name, lambda _: kind.Result(), goal_callback=self._goal,
+            handle_accepted_callback=lambda handle: self._start(lambda: work(handle)),
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )  # fmt: skip
+
+    @property
+    def busy(self) -> bool:
+        """While something is under way."""
+        return self._working.locked()
+
+    def begin(self, work: Callable[[], None]) -> bool:
+        """Does something without a goal, which calls `free` at its end; False where something is under way."""
+        if not self._working.acquire(blocking=False):
+            return False
+        self._start(work)
+        return True
+
+    def stopped(self, handle: Handle) -> bool:
+        """Whether a goal is to end early."""
+        return bool(handle.is_cancel_requested) or self._node.stopping.is_set()
+
+    def settle(self, handle: Handle, success: bool) -> None:
+        """Brings a goal to its end, and takes the next one."""
+        try:
+            if success:
+                handle.succeed()
+            elif handle.is_cancel_requested:
+                handle.canceled()
+            else:
+                handle.abort()
+        finally:
+            self.free()
+
+    def free(self) -> None:
+        """Takes the next goal."""
+        self._working.release()
+
+    def close(self) -> None:
+        """Waits for the end of what is under way; `node.stopping` calls it off."""
+        self._server.destroy()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _goal(self, goal: Any) -> GoalResponse:
+        if self._node.stopping.is_set() or not self._working.acquire(blocking=False):
+            self._node.get_logger().warning(self._refusal(goal))
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _start(self, work: Callable[[], None]) -> None:
+        # A thread of its own: a blocking callback would need a multi-threaded executor, which takes twice the time of
+        # this one for every message that comes in.
+        self._thread = threading.Thread(target=work, name=self._name)
+        self._thread.start()

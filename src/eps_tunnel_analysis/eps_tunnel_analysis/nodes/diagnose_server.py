@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnoses on request, in a process of its own, so that the live figures go on."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
-from eps_tunnel_analysis.command_process import run_command, timing_options
-from eps_tunnel_analysis.nodes.common import TunnelNode
-from eps_tunnel_analysis.nodes.diagnosis_message import LATCHED, diagnosis_message
-from eps_tunnel_analysis.nodes.one_goal import Handle, OneGoal
+from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode
+from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched
+from eps_tunnel_analysis.tasks import DiagnoseTask, run_task
 from labyrinth_msgs.action import Diagnose
 from labyrinth_msgs.msg import Diagnosis
-
-MANY = 1500  # roll-outs; the scale of the progress, for how many there will be is not known before
 
 
 class DiagnoseServer:
@@ -21,9 +17,9 @@ class DiagnoseServer:
 
     def __init__(self, node: TunnelNode) -> None:
         self._node = node
-        self._verdicts = node.create_publisher(Diagnosis, "/srg/diagnosis", LATCHED)
+        self._verdicts = node.create_publisher(Diagnosis, "srg/diagnosis", latched())
         self._goals = OneGoal(
-            node, Diagnose, "/diagnose",
+            node, Diagnose, "diagnose",
             lambda goal: f"Refused to diagnose '{goal.model}': another diagnosis is under way.", self._work,
         )  # fmt: skip
 
@@ -37,24 +33,17 @@ class DiagnoseServer:
         self._goals.close()
 
     def _work(self, handle: Handle) -> None:
-        counts: dict[str, int] = {}
-
-        def tell(told: dict[str, Any]) -> None:
-            counts[str(told["doing"])] = int(told["rollouts"])
-            done = sum(counts.values())
-            stage = f"{told['doing']}, {done:,} roll-outs"
-            share = 1.0 - math.exp(-done / MANY)
+        def publish(progress: dict[str, Any]) -> None:
+            done, of = int(progress["rollouts"]), int(progress["of"])
+            stage = f"{progress['doing']}, {done:,} roll-outs"
+            share = done / of if of else 0.0
             handle.publish_feedback(Diagnose.Feedback(progress=share, best=math.nan, stage=stage))
 
         goal: Diagnose.Goal = handle.request
         content: dict[str, Any] = {}
-        message = ""
         try:
-            output = run_command(arguments(goal), tell, lambda: self._goals.stopped(handle))
-            if output.code == 0:
-                content = json.loads(output.text)
-            else:
-                message = "\n".join(output.complaints) or f"It ended with exit code {output.code}."
+            result = run_task(diagnose_task(goal), publish, lambda: self._goals.stopped(handle))
+            content, message = result.content or {}, "" if result.content else result.complaint
         except Exception as error:  # a thread that died silently would leave the node busy for ever
             message = f"The diagnosis failed: {error!r}."
         handle.execute(lambda h: self._finish(h, content, message))
@@ -79,8 +68,9 @@ class DiagnoseServer:
         return result
 
 
-def arguments(goal: Diagnose.Goal) -> list[str]:
-    """A goal as the command line takes it."""
-    given = ["diagnose", "--real", *goal.bags, "--model", goal.model, "--out", goal.out, "--seed", str(goal.seed)]
-    given += timing_options()
-    return [*given, "--candidates", *goal.candidates] if goal.candidates else given
+def diagnose_task(goal: Diagnose.Goal) -> DiagnoseTask:
+    """A goal as a task."""
+    return DiagnoseTask(
+        bags=tuple(map(Path, goal.bags)), model=goal.model, out=Path(goal.out), seed=goal.seed,
+        candidates=tuple(goal.candidates),
+    )  # fmt: skip

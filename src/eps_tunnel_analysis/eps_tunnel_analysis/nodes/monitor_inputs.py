@@ -5,25 +5,26 @@ import time
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from eps_tunnel_analysis.monitor.parts import Health, Pose, Scene, Verdict
-from eps_tunnel_analysis.monitor.state import State
-from eps_tunnel_analysis.monitor.steps import Steps
+from eps_tunnel_analysis.monitor.parts import Health, Pose, Scene, VerdictPart
+from eps_tunnel_analysis.monitor.state import RecentHealth, State, Steps
 from eps_tunnel_analysis.nodes.common import SIDES
-from eps_tunnel_analysis.nodes.diagnosis_message import LATCHED
-from eps_tunnel_analysis.nodes.message_times import nanoseconds
-from eps_tunnel_analysis.nodes.polled import PolledGroup, PolledTopic
-from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, Srg, Trial, TunnelSample
+from eps_tunnel_analysis.nodes.messages import (
+    PolledGroup,
+    PolledTopic,
+    deep,
+    latched,
+    nanoseconds,
+    newest,
+    reliable,
+)
+from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, RunningModel, Srg, Trial, TunnelSample
 
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-SOME = QoSProfile(depth=20)
-ALL = QoSProfile(depth=1000)
 SILENT = 1.0  # s without joint states after which a side is gone
-UNSEEN = 0.5  # s without a sight of the ball after which it is not drawn
+BALL_GONE = 0.5  # s without a sight of the ball after which it is not drawn
 ANALYSIS_SILENT = 4.0  # s
 
 
@@ -41,17 +42,18 @@ class Inputs:
             return PolledTopic(node, kind, name, qos, group)
 
         self._state, self._steps = state, steps
-        self._joints = {side: topic(JointState, f"/{side}/joint_states", NEWEST) for side in SIDES}
-        self._balls = {side: topic(BallState, f"/{side}/ball", NEWEST) for side in SIDES}
-        self._trials = {side: topic(Trial, f"/{side}/trial", SOME) for side in SIDES}
-        self._tunnel = topic(TunnelSample, "/srg/tunnel", ALL)
-        self._srg = topic(Srg, "/srg", SOME)
-        self._counters = topic(LiveCounters, "/srg/counters", SOME)
-        self._diagnosis = topic(Diagnosis, "/srg/diagnosis", LATCHED)
-        self._diagnostics = topic(DiagnosticArray, "/diagnostics", QoSProfile(depth=100))
+        self._joints = {side: topic(JointState, f"{side}/joint_states", newest()) for side in SIDES}
+        self._balls = {side: topic(BallState, f"{side}/ball", newest()) for side in SIDES}
+        self._trials = {side: topic(Trial, f"{side}/trial", reliable(20)) for side in SIDES}
+        self._tunnel = topic(TunnelSample, "srg/tunnel", deep())
+        self._srg = topic(Srg, "srg", reliable(20))
+        self._counters = topic(LiveCounters, "srg/counters", reliable(20))
+        self._diagnosis = topic(Diagnosis, "srg/diagnosis", latched())
+        self._models = topic(RunningModel, "sim/model", latched())
         self._poses: dict[str, tuple[float, dict[str, float]]] = {}
         self._seen: dict[str, tuple[float, tuple[float, float]]] = {}
         self._heard = -1e9
+        self._health = RecentHealth()
         self.duration = 0.0
         self.own_verdict = -1  # ns, stamp of the verdict that this node published
 
@@ -67,39 +69,39 @@ class Inputs:
     def take(self) -> bool:
         """Returns whether the simulation runs another model than before."""
         changed = False
-        for message in self._diagnostics.take():
-            for status in message.status:
-                changed |= self._model(status)
+        for model in self._models.take():
+            changed |= self._steps.runs(model.name, model.file, str(model.loaded))
         for side in SIDES:
             for mark in self._trials[side].take():
                 self._marked(side, mark)
         self._take_tunnel()
         for figures in self._srg.take():
             self._steps.gap(
-                figures.signals, figures.k, figures.alikeness, figures.joint, figures.samples, figures.trials
+                figures.signals,
+                figures.k,
+                figures.alikeness,
+                figures.joint,
+                figures.samples,
+                figures.trials,
+                figures.rig_joint,
             )
+            with self._state.tunnel() as table:
+                table.trials = figures.trials
         for counters in self._counters.take():
             self._heard = time.monotonic()
-            self._state.put(_health(counters))
+            self._state.put(self._health.at(self._heard, _health(counters)))
         for verdict in self._diagnosis.take():
             if nanoseconds(verdict.header.stamp) != self.own_verdict:
                 self._state.put(_verdict(verdict, self._steps.model))
         self._take_scene()
         return changed
 
-    def _model(self, status: Any) -> bool:
-        told = {entry.key: entry.value for entry in status.values}
-        if not status.name.startswith("sim_node") or "model" not in told:
-            return False
-        return self._steps.runs(told["model"], told.get("model file", ""), told.get("models loaded", ""))
-
     def _marked(self, side: str, mark: Trial) -> None:
         if mark.phase == Trial.START:
             self.duration = mark.duration
             if side == "sim":
                 self._steps.trial_started()
-            with self._state.tunnel() as table:
-                table.start(mark.sequence_hash, mark.duration)
+            self._state.trial(mark.sequence_hash, mark.duration)
 
     def _take_tunnel(self) -> None:
         samples = list(self._tunnel.take())
@@ -127,7 +129,7 @@ class Inputs:
         if not self.alive(side):
             return None
         seen, place = self._seen.get(side, (-1e9, None))
-        return Pose(self._poses[side][1], place if now - seen < UNSEEN else None)
+        return Pose(self._poses[side][1], place if now - seen < BALL_GONE else None)
 
 
 def _health(counters: LiveCounters) -> Health:
@@ -138,10 +140,10 @@ def _health(counters: LiveCounters) -> Health:
     )  # fmt: skip
 
 
-def _verdict(told: Diagnosis, model: str) -> Verdict:
+def _verdict(told: Diagnosis, model: str) -> VerdictPart:
     """The verdict of somebody else."""
     pairs = zip(told.candidates, told.probabilities, strict=False)
-    return Verdict(
+    return VerdictPart(
         verdict=told.verdict, sentence=told.sentence, effects=tuple(told.effects),
         hypotheses=tuple((name, p, False) for name, p in pairs), where=(), coverage=told.coverage,
         held_out=(told.held_out_before, None, told.held_out_after), model=model, next_experiment=told.next_experiment,

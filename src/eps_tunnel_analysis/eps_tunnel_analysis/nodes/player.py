@@ -7,19 +7,17 @@ import traceback
 from collections.abc import Callable
 
 from eps_tunnel_analysis.motion import RestWatch
-from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
-from eps_tunnel_analysis.nodes.one_goal import Handle, OneGoal
-from eps_tunnel_analysis.nodes.play import Limits, Outcome, Play
-from eps_tunnel_analysis.nodes.progress import Progress, ProgressBar
-from eps_tunnel_analysis.nodes.record_client import RecordClient
-from eps_tunnel_analysis.nodes.rig_side import RigSide
+from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode, run_node
+from eps_tunnel_analysis.nodes.pace import Pace
+from eps_tunnel_analysis.nodes.play import Limits, Outcome, Progress, ProgressBar, SequencePlayer
+from eps_tunnel_analysis.nodes.rig_side import RecordClient, RigSide
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_msgs.action import PlaySequence
 from labyrinth_sim.errors import InputError
 
 
 class Player(TunnelNode):
-    """Action server /play_sequence; with the parameter `sequence` it plays that at once and ends."""
+    """Action server play_sequence; with the parameter `sequence` it plays that at once and ends."""
 
     def __init__(self) -> None:
         super().__init__("player")
@@ -31,26 +29,25 @@ class Player(TunnelNode):
         self._record = self.parameter("record", False, "Have the analysis node record one bag per side, at autostart")
         self._folder = self.parameter("folder", "", "Folder for the bags, at autostart; empty: a new one under out/")
         sides = self.sides()
-        rate = self.parameter("rate", 100.0, "Commands a second", "Hz", 1, 1000)
-        deg = math.radians
         number = self.parameter
-        limits = Limits(
-            angle=deg(number("limit_deg", 5.0, "Largest target angle in either direction", "deg", 0, 180)),
-            speed=deg(number("return_speed_deg", 20.0, "Speed on the way to the start", "deg/s", 0.1, 1000)),
-            rest_timeout=number("rest_timeout", 20.0, "Longest wait for rest before a trial", "s", 0.1, 3600),
-            silence=self.parameter("silence_timeout", 1.0, "Longest silence of joint states", "s", 0.02, 60),
-            connect_timeout=self.parameter(
-                "connect_timeout", 10.0, "Longest wait for the sides to appear", "s", 0.1, 3600
-            ),
-            stall=number("stall_timeout", 0.1, "Longest pause within a trial before it is begun anew", "s", 0.02, 10),
+        number("rate", 100.0, "Commands a second", "Hz", 1, 1000, changes=True)
+        number("limit_deg", 5.0, "Largest target angle in either direction", "deg", 0, 180, changes=True)
+        number("return_speed_deg", 20.0, "Speed on the way to the start", "deg/s", 0.1, 1000, changes=True)
+        number("rest_time", 0.5, "How long a side must be still to be at rest", "s", 0.05, 60, changes=True)
+        number("rest_speed_deg", 0.3, "Below this speed a joint is at rest", "deg/s", 0.001, 100, changes=True)
+        number("rest_timeout", 20.0, "Longest wait for rest before a trial", "s", 0.1, 3600, changes=True)
+        number("silence_timeout", 1.0, "Longest silence of joint states", "s", 0.02, 60, changes=True)
+        number("connect_timeout", 10.0, "Longest wait for sides and recorder to appear", "s", 0.1, 3600, changes=True)
+        number(
+            "stall_timeout", 0.1, "Longest pause within a trial before it is begun anew", "s", 0.02, 10, changes=True
         )
-        window = number("rest_time", 0.5, "How long a side must be still to be at rest", "s", 0.05, 60)
-        rest_speed = number("rest_speed_deg", 0.3, "Below this speed a joint is at rest", "deg/s", 0.001, 100)
         self.check_parameters()
-        rigs = [RigSide(self, side, RestWatch(window, deg(rest_speed))) for side in sides]
-        self._play = Play(self, rigs, RecordClient(self), rate, limits)
+        pace = Pace(self.get_clock(), bool(self.get_parameter("use_sim_time").value))
+        self._rigs = [RigSide(self, side, self._rest_watch(), pace) for side in sides]
+        record = RecordClient(self, sides)
+        self._play = SequencePlayer(self, self._rigs, record, pace, self._value("rate"), self._limits())
         self._goals = OneGoal(
-            self, PlaySequence, "/play_sequence",
+            self, PlaySequence, "play_sequence",
             lambda goal: f"Refused to play '{goal.sequence}': another sequence is being played.", self._play_goal,
         )  # fmt: skip
         if self._sequence:
@@ -58,6 +55,22 @@ class Player(TunnelNode):
             self._play.check(find_sequence(self._sequence))
             if autostart:
                 self._goals.begin(self._autostart)
+
+    def _value(self, name: str) -> float:
+        return float(self.get_parameter(name).value or 0.0)
+
+    def _limits(self) -> Limits:
+        return Limits(
+            angle=math.radians(self._value("limit_deg")),
+            speed=math.radians(self._value("return_speed_deg")),
+            rest_timeout=self._value("rest_timeout"),
+            silence=self._value("silence_timeout"),
+            connect_timeout=self._value("connect_timeout"),
+            stall=self._value("stall_timeout"),
+        )
+
+    def _rest_watch(self) -> RestWatch:
+        return RestWatch(self._value("rest_time"), math.radians(self._value("rest_speed_deg")))
 
     @property
     def busy(self) -> bool:
@@ -95,6 +108,10 @@ class Player(TunnelNode):
         tell: Callable[[Progress], None],
         stopped: Callable[[], bool],
     ) -> Outcome:
+        # What was set meanwhile counts from this run on.
+        self._play.rate, self._play.limits = self._value("rate"), self._limits()
+        for rig in self._rigs:
+            rig.rest = self._rest_watch()
         try:
             if not name:
                 raise InputError("No sequence named. Give the name or the path of one as the goal's `sequence`.")
@@ -129,7 +146,7 @@ def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run eps_tunnel_analysis player`."""
     # The thread that keeps the clock must not wait 5 ms for one that decodes a message.
     sys.setswitchinterval(0.0005)
-    return run_node(Player, args)
+    return run_node("player", "Plays an action sequence on the rig and on its simulation at once.", Player, args)
 
 
 if __name__ == "__main__":

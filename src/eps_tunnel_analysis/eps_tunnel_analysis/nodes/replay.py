@@ -2,6 +2,7 @@
 """Publishes the messages of bags with the timing of their recording, and /clock."""
 
 import importlib
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,23 +11,25 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from ament_index_python import has_resource
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosgraph_msgs.msg import Clock
 from tqdm import tqdm
 
-from eps_tunnel_analysis.nodes.message_times import to_time
+from eps_tunnel_analysis.nodes.messages import deep, to_time
 from eps_tunnel_analysis.recording.bag import Bag, read_bag
 from labyrinth_sim.errors import InputError, unknown_name
 
-DEEP = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 TICK = 10_000_000  # ns of recorded time between two messages on /clock
 CHECK = 0.5  # s between two looks for other publishers
 ACKNOWLEDGED = 5.0  # s to wait for the last messages to arrive
 QUIET = 0.5  # s without new subscribers after which all are taken to be known
 NAMED = 2.0  # s to wait for the name of a node whose publisher is known already
+MESSAGE_TYPE = re.compile(r"[A-Za-z]\w*/msg/[A-Z]\w*", re.ASCII)
 NAMELESS = "_NODE_NAME_UNKNOWN_"  # as rmw tells it
 
 
@@ -61,7 +64,7 @@ def replay(paths: Sequence[Path], options: Options) -> str:
     node = rclpy.create_node("replay", start_parameter_services=False)
     try:
         classes, left_out = _classes(kinds)
-        publishers = {topic: node.create_publisher(kind, topic, DEEP) for topic, kind in classes.items()}
+        publishers = {topic: node.create_publisher(kind, topic, deep()) for topic, kind in classes.items()}
         clock = node.create_publisher(Clock, "/clock", 10) if options.clock else None
         _wait(node, [*publishers.values(), *([clock] if clock else [])], options.wait)
         watched = [*publishers, *(["/clock"] if clock else [])]
@@ -94,6 +97,11 @@ def _kinds(bags: Sequence[Bag], asked: Sequence[str]) -> dict[str, str]:
                     f"{bag.path}: topic '{topic.name}' is a {topic.type}, in an earlier bag a {kinds[topic.name]}."
                 )
     complaints += [unknown_name("topic", name, kinds) for name in asked if name not in kinds]
+    for name in kinds:
+        try:
+            validate_full_topic_name(name)
+        except InvalidTopicNameException as error:
+            complaints.append(f"A bag's topic '{name[:100]}' is no legal name ({error}).")
     if complaints:
         raise InputError(complaints)
     return {name: kind for name, kind in kinds.items() if not asked or name in asked}
@@ -113,9 +121,13 @@ def _classes(kinds: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
     classes: dict[str, Any] = {}
     left_out: list[str] = []
     for topic, kind in kinds.items():
-        package, _, rest = kind.partition("/")
+        package, _, name = kind.partition("/msg/")
+        # A bag may be anybody's: nothing is imported but what is installed as an interface.
+        if not (MESSAGE_TYPE.fullmatch(kind) and has_resource("rosidl_interfaces", package)):
+            left_out.append(f"{topic} ({kind})")
+            continue
         try:
-            classes[topic] = getattr(importlib.import_module(f"{package}.msg"), rest.rpartition("/")[2])
+            classes[topic] = getattr(importlib.import_module(f"{package}.msg"), name)
         except (ImportError, AttributeError):
             left_out.append(f"{topic} ({kind})")
     classes.pop("/clock", None)

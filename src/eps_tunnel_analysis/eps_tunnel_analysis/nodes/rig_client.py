@@ -14,9 +14,9 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.signals import SignalHandlerOptions
 
-from eps_tunnel_analysis.autonomous.rig import Bags, RigFailed
-from eps_tunnel_analysis.nodes.diagnosis_message import LATCHED, diagnosis_message
-from eps_tunnel_analysis.nodes.progress import Progress, ProgressBar
+from eps_tunnel_analysis.loop.rig import Bags, RigFailed
+from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched
+from eps_tunnel_analysis.nodes.play import Progress, ProgressBar
 from labyrinth_msgs.action import PlaySequence
 from labyrinth_msgs.msg import Diagnosis
 from labyrinth_msgs.srv import LoadModel
@@ -36,10 +36,10 @@ class RigClient:
         self._watch = watch
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("eps_tunnel")
-        self._player = ActionClient(self._node, PlaySequence, "/play_sequence")
-        self._loader = self._node.create_client(LoadModel, "/sim/load_model")
-        self._limits = self._node.create_client(GetParameters, "/player/get_parameters")
-        self._verdicts = self._node.create_publisher(Diagnosis, "/srg/diagnosis", LATCHED)
+        self._player = ActionClient(self._node, PlaySequence, "play_sequence")
+        self._loader = self._node.create_client(LoadModel, "sim/load_model")
+        self._limits = self._node.create_client(GetParameters, "player/get_parameters")
+        self._verdicts = self._node.create_publisher(Diagnosis, "srg/diagnosis", latched())
 
     def play(self, sequence: str, trials: int, folder: Path) -> Bags:
         """Plays a sequence, by name or path, on both sides, with a bar; one bag a side into `folder`.

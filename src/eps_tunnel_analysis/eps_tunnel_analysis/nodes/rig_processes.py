@@ -3,20 +3,59 @@
 
 import json
 import os
+import socket
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eps_tunnel_analysis.nodes.domain import own_domain
-from eps_tunnel_analysis.nodes.processes import ProcessDied, Processes, executable
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+from eps_tunnel_analysis.processes import ProcessDied, Processes
 from labyrinth_sim.errors import InputError
 
 START_TIMEOUT = 90.0  # s; a busy machine takes its time
 DRAW = "?"
+DOMAINS = 100  # 1 to this; beyond 101 the ports of a domain reach into those that Linux hands out by chance
+
+
+def _lock_port(domain: int) -> int:
+    """The TCP port by which ROS's own domain_coordinator, that of tests, marks a domain as taken."""
+    return 32768 + domain
+
+
+@contextmanager
+def own_domain(first: int | None = None) -> Iterator[int]:
+    """A domain from 1 to 100, kept until the end; `first` is where the search begins, by default the process id.
+
+    The lock is a port, not a file: it is shared as widely as the network in which nodes hear each other.
+    """
+    start = (os.getpid() if first is None else first) - 1
+    for i in range(DOMAINS):
+        domain = 1 + (start + i) % DOMAINS
+        lock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        with closing(lock):
+            try:
+                lock.bind(("", _lock_port(domain)))
+            except OSError:
+                continue
+            yield domain
+            return
+    raise InputError(f"All {DOMAINS} ROS domains are in use on this machine. End some demos or tests.")
+
+
+def executable(package: str, name: str) -> Path:
+    """The file that `ros2 run PACKAGE NAME` starts. Raises InputError where the workspace is not sourced."""
+    try:
+        path = Path(get_package_prefix(package)) / "lib" / package / name
+    except PackageNotFoundError:
+        raise InputError(f"Package {package} is not found. Source the workspace: `source env.bash`.") from None
+    if not path.is_file():
+        raise InputError(f"{path} is missing. Build the workspace: `make setup`.")
+    return path
 
 
 @dataclass(frozen=True)
@@ -62,7 +101,8 @@ def rig_processes(rig: EmulatedRig, model: str, folder: Path) -> Iterator[Proces
             given += ["--video"] if rig.video else []
             processes.start("testbed", [executable("labyrinth_hw", "testbed"), *given])
             _wait_for_ports(Path(ports), processes)
-            processes.start("hw_node", [executable("labyrinth_hw", "hw_node"), *_parameters(config=rig.hw)])
+            armed = _parameters(config=rig.hw, arm="true", disarm_after=0.0)  # nothing can be harmed here
+            processes.start("hw_node", [executable("labyrinth_hw", "hw_node"), *armed])
             processes.start("sim_node", [executable("labyrinth_sim", "sim_node"), *_parameters(model=model)])
             processes.start("analysis_node", [executable("eps_tunnel_analysis", "analysis_node")])
             # A busy machine may leave a node waiting for a while; a rig that is gone stays silent for longer.

@@ -1,44 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One side of the comparison, /real or /sim, as the player sees it."""
+"""One side of the comparison, real or sim, as the player sees it."""
 
 import math
-import time
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
 
 from eps_tunnel_analysis.motion import Array, RestWatch
+from eps_tunnel_analysis.nodes.messages import measured, reliable
+from eps_tunnel_analysis.nodes.pace import Pace
 from eps_tunnel_analysis.sequence import Command
 from labyrinth_msgs.msg import Trial
+from labyrinth_msgs.srv import Record
+from labyrinth_sim.errors import InputError
 
-RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+DEPTH = 10
+
+
+class RecordClient:
+    """Calls the service record from a thread that may wait, while the node is spun by others."""
+
+    def __init__(self, node: Node, sides: Sequence[str]) -> None:
+        self._sides = list(sides)
+        self._client = node.create_client(Record, "record")
+
+    def start(self, folder: Path, command: Command, appears: float, timeout: float) -> tuple[str, ...]:
+        """Paths of the bags that are now recorded, one per side.
+
+        Args:
+            appears, timeout: longest wait for who records, and for the answer, s.
+
+        Raises:
+            InputError: nobody records.
+        """
+        label = command.name.replace("/", "_")
+        return self._call(
+            Record.Request(
+                start=True,
+                folder=str(folder.resolve()),
+                label=label,
+                sequence=command.name,
+                sequence_hash=command.hash,
+                sides=self._sides,
+            ),
+            appears,
+            timeout,
+        )
+
+    def stop(self, appears: float, timeout: float) -> tuple[str, ...]:
+        """Paths of the bags, now closed; times as for `start`. Raises InputError when it failed."""
+        return self._call(Record.Request(start=False), appears, timeout)
+
+    def _call(self, request: Record.Request, appears: float, timeout: float) -> tuple[str, ...]:
+        if not self._client.wait_for_service(appears):
+            raise InputError(
+                f"Nobody records: the service {self._client.service_name} did not appear within {appears:g} s. "
+                "Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
+            )
+        answered = threading.Event()
+        future: Any = self._client.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(timeout):
+            raise InputError(f"The analysis node did not answer {self._client.service_name} within {timeout:g} s.")
+        response: Record.Response = future.result()
+        if not response.success:
+            raise InputError(f"Recording failed: {response.message}")
+        return tuple(response.bags)
 
 
 class RigSide:
     """Commands and trial marks to one side, and its joint states back.
 
+    Measurements are heard as best effort, which any publisher offers; commands and marks are sent reliably.
+
     Attributes:
         name: `real` or `sim`.
         positions: last measured position of each joint in rad.
         target: last commanded position (u,) in rad; None before the first command.
+        stamp: of the last joint states, s of the clock that stamped them; 0 where there is none.
     """
 
-    def __init__(self, node: Node, name: str, rest: RestWatch) -> None:
+    def __init__(self, node: Node, name: str, rest: RestWatch, pace: Pace) -> None:
         overridable = QoSOverridingOptions.with_default_policies()
         self.name, self.rest = name, rest
         self.positions: dict[str, float] = {}
         self.target: Array | None = None
+        self.stamp = 0.0
+        self._node = node
+        self._pace = pace
         self._heard = -math.inf
         self._commands = node.create_publisher(
-            JointState, f"/{name}/joint_commands", RELIABLE, qos_overriding_options=overridable
+            JointState, f"{name}/joint_commands", reliable(DEPTH), qos_overriding_options=overridable
         )
-        self._marks = node.create_publisher(Trial, f"/{name}/trial", RELIABLE, qos_overriding_options=overridable)
+        self._marks = node.create_publisher(Trial, f"{name}/trial", reliable(DEPTH), qos_overriding_options=overridable)
         self._states = node.create_subscription(
-            JointState, f"/{name}/joint_states", self._measured, RELIABLE, qos_overriding_options=overridable
+            JointState, f"{name}/joint_states", self._measured, measured(DEPTH), qos_overriding_options=overridable
         )
 
     @property
@@ -53,11 +116,16 @@ class RigSide:
 
     @property
     def silence(self) -> float:
-        """s since the last joint states."""
-        return time.monotonic() - self._heard
+        """s of the run's clock since the last joint states."""
+        return self._pace.now() - self._heard
+
+    @property
+    def measured(self) -> bool:
+        """Whether anybody publishes joint states."""
+        return self._node.count_publishers(self._states.topic_name) > 0
 
     def excuse(self, now: float) -> None:
-        """Starts the silence anew at `now`, monotonic s: until then this process could not listen."""
+        """Starts the silence anew at `now`, s of the run's clock: until then this process could not listen."""
         if math.isfinite(self._heard):
             self._heard = max(self._heard, now)
 
@@ -94,7 +162,8 @@ class RigSide:
     def _measured(self, message: JointState) -> None:
         if len(message.position) != len(message.name):
             return
-        self._heard = time.monotonic()
+        self._heard = self._pace.now()
         self.positions = dict(zip(message.name, message.position, strict=True))
         stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        self.stamp = stamp
         self.rest.add(stamp, np.array([self.positions[name] for name in sorted(self.positions)]))

@@ -1,36 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags: written so that a crash costs a second, read as they are, brought onto one time grid."""
 
-from eps_tunnel_analysis.recording.channel_map import (
-    ChannelMap,
-    Source,
-    channel_map,
-    guessed_map,
-)
+from eps_tunnel_analysis.recording.channel_map import ChannelMap, Source, channel_map, guessed_map
 from eps_tunnel_analysis.recording.csv_import import CsvColumns, csv_to_bag
-from eps_tunnel_analysis.recording.plays import PlaysResult, to_plays
-from eps_tunnel_analysis.recording.reader import read, read_all
-from eps_tunnel_analysis.recording.recording import (
-    Gap,
-    Recording,
-    StampedTopic,
-    TimeSource,
-    TrialMark,
-)
-from eps_tunnel_analysis.recording.repair import repair
-from eps_tunnel_analysis.recording.trials_from_bags import (
+from eps_tunnel_analysis.recording.decode import read, read_all
+from eps_tunnel_analysis.recording.recording import Recording, StampedTopic, TimeSource, TrialMark
+from eps_tunnel_analysis.recording.trials import (
+    PlaysResult,
     ResampleReport,
     TrialsResult,
     read_trials,
+    to_plays,
     to_trials,
 )
-from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError
+from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError, repair
 
 __all__ = [
     "BagWriter",
     "ChannelMap",
     "CsvColumns",
-    "Gap",
     "PlaysResult",
     "Recording",
     "RecordingError",

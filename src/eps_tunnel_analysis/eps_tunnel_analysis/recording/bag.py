@@ -3,22 +3,194 @@
 
 A folder with metadata.yaml was closed by its recorder and must be whole. A folder without it was never closed (the
 recorder was killed), and so is a lone .mcap file without a footer: those are read up to their last whole chunk.
+
+A file whose recorder was killed has no index, so records are walked rather than looked up; a whole file is read the
+same way, which for long recordings is also several times faster than message by message in time order.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Metadata, Schema
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 
-from eps_tunnel_analysis.recording.mcap_file import MAGIC, RawTopic, TwoTypesError, read_mcap
+from eps_tunnel_analysis.recording.unpack import Allowance, check_file, chunk_records, message_data
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.yaml_file import read_yaml
 
-SUFFIXES = (".mcap", ".db3")
+MAGIC = b"\x89MCAP0\r\n"
+RECORD_HEADER = struct.Struct("<BQ")
+"""of a record: opcode, length"""
+MESSAGE_START = struct.Struct("<BQH4xQ8x")
+"""start of a message record: opcode, length, channel, (sequence,) log time, (publish time)"""
+DEFINITION_FORMATS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
+TORN = (ValueError, KeyError, OverflowError, RuntimeError, struct.error, McapError, zstandard.ZstdError)
+"""What the parsers of records, text, checksums, lz4 and zstd raise on a torn record"""
+DECLARATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
+MOST_DECLARATIONS = 200_000
+"""schemas and channels in a file, those that each chunk repeats included"""
+LATEST = (1 << 63) - 1
+"""ns since 1970, the latest stamp that a signed number holds, in the year 2262"""
+BAG_SUFFIXES = (".mcap", ".db3")
 EXPECTED = "a rosbag2 folder (with metadata.yaml) or a single .mcap or .db3 file of ROS 2 messages"
+
+
+@dataclass
+class RawTopic:
+    """Messages of one topic, still serialised; grows while the bag is read."""
+
+    name: str
+    type: str
+    definition: MessageDefinition
+    log_times: list[int] = field(default_factory=list)
+    """ns"""
+    messages: list[bytes] = field(default_factory=list)
+    """CDR"""
+
+
+@dataclass
+class McapFile:
+    """What is whole in one file.
+
+    Attributes:
+        topics: by name; messages in the order of the file.
+        metadata: of all metadata records except rosbag2's own.
+        complete: whether the file was read up to its proper end.
+        fault: where and why reading ended before that.
+        allowance: bytes that its chunks may still become.
+    """
+
+    allowance: Allowance
+    topics: dict[str, RawTopic] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
+    complete: bool = False
+    fault: str = "it ends too early"
+    _schemas: dict[int, Schema] = field(default_factory=dict)
+    _channels: dict[int, RawTopic] = field(default_factory=dict)
+    _sinks: dict[int, tuple[Callable[[int], None], Callable[[bytes], None]]] = field(default_factory=dict)
+    _declared: int = 0
+
+    def add_record(self, opcode: int, body: bytes) -> None:
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.CHUNK:
+            self.add_records(chunk_records(Chunk.read(stream), self.allowance))
+        elif opcode == Opcode.MESSAGE:
+            self.add_records(RECORD_HEADER.pack(opcode, len(body)) + body)
+        elif opcode in DECLARATIONS:
+            self._declared += 1
+            if self._declared > MOST_DECLARATIONS:
+                raise ValueError(f"more than {MOST_DECLARATIONS} schemas and channels")
+            if opcode == Opcode.CHANNEL:
+                self.add_channel(Channel.read(stream))
+            else:
+                schema = Schema.read(stream)
+                self._schemas[schema.id] = schema
+        elif opcode == Opcode.METADATA:
+            record = Metadata.read(stream)
+            if record.name != "rosbag2":
+                self.metadata.update(record.metadata)
+
+    def add_channel(self, channel: Channel) -> None:
+        if channel.id in self._channels:
+            return
+        schema = self._schemas.get(channel.schema_id)
+        type_ = schema.name if schema else ""
+        definition = MessageDefinition(MessageDefinitionFormat.NONE, "")
+        if schema is not None and schema.encoding in DEFINITION_FORMATS:
+            definition = MessageDefinition(DEFINITION_FORMATS[schema.encoding], schema.data.decode())
+        topic = self.topics.setdefault(channel.topic, RawTopic(channel.topic, type_, definition))
+        if topic.type != type_:
+            raise TwoTypesError(f"topic '{topic.name}' has two types, {topic.type} and {type_}; expected one")
+        self._channels[channel.id] = topic
+        self._sinks[channel.id] = topic.log_times.append, topic.messages.append
+
+    def add_records(self, data: bytes) -> None:
+        """The records of one uncompressed chunk. The loop runs once a message, so it does little."""
+        at, end, unpack, is_message, sinks = 0, len(data), MESSAGE_START.unpack_from, int(Opcode.MESSAGE), self._sinks
+        while at < end:
+            opcode = data[at]
+            if opcode == is_message:
+                _, length, channel, log_time = unpack(data, at)
+                behind = at + RECORD_HEADER.size + length
+                add_time, add_message = sinks[channel]
+                add_time(log_time)
+                add_message(data[at + MESSAGE_START.size : behind])
+            elif opcode in DECLARATIONS:
+                _, length = RECORD_HEADER.unpack_from(data, at)
+                behind = at + RECORD_HEADER.size + length
+                self.add_record(opcode, data[at + RECORD_HEADER.size : behind])
+            else:
+                raise ValueError(f"a chunk holds a record of kind {opcode}, which only a file may")
+            at = behind
+        if at != end:
+            raise ValueError("a record reaches beyond its chunk")
+
+
+class TwoTypesError(Exception):
+    """One topic with messages of two types."""
+
+
+def read_mcap(file: Path) -> McapFile:
+    """All that is whole in a file that begins as an MCAP file does. Raises TwoTypesError."""
+    found = McapFile(Allowance.of([file]))
+    for at, opcode, body in _records(file):
+        if opcode == Opcode.FOOTER:
+            break
+        try:
+            if not found.complete:
+                found.complete = opcode == Opcode.DATA_END
+                found.add_record(opcode, body)
+            elif opcode == Opcode.CHUNK:
+                raise ValueError("it lies behind the end of the data")
+        except TORN as error:
+            found.complete = False
+            found.fault = f"{file.name}: the record at byte {at} is damaged, {error}"
+            break
+    return found
+
+
+def _records(file: Path) -> Iterator[tuple[int, int, bytes]]:
+    """Where each record begins, its opcode and its content."""
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        stream.seek(len(MAGIC))
+        while len(header := stream.read(RECORD_HEADER.size)) == RECORD_HEADER.size:
+            opcode, length = RECORD_HEADER.unpack(header)
+            if stream.tell() + length > size:
+                return
+            yield stream.tell() - RECORD_HEADER.size, opcode, stream.read(length)
+
+
+class _CheckedMcap(McapReader):
+    """rosbags judges the index, but only of a file whose chunks are whole: it decompresses whatever they declare."""
+
+    def open(self) -> None:
+        self.content = read_mcap(Path(str(self.path)))
+        if not self.content.complete:
+            raise ValueError(self.content.fault)
+        super().open()
+
+
+class _CheckedDirectory(DirectoryReader):
+    STORAGE_PLUGINS: Mapping[str, Any] = {**DirectoryReader.STORAGE_PLUGINS, "mcap": _CheckedMcap}
+
+
+class _CheckedReader(Reader):
+    STORAGE_PLUGINS: Mapping[str, Any] = {
+        **Reader.STORAGE_PLUGINS, "dir": _CheckedDirectory, ".mcap": _CheckedMcap
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,10 +231,10 @@ def _files(path: Path) -> list[Path]:
     if path.is_file():
         if path.name == "metadata.yaml":
             raise InputError(f"{path}: name the bag's folder, {path.parent}, not its metadata.yaml.")
-        if path.suffix not in SUFFIXES:
+        if path.suffix not in BAG_SUFFIXES:
             raise InputError(f"{path}: not a bag. Expected {EXPECTED}.")
         return [path]
-    files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
+    files = sorted(file for file in path.iterdir() if file.suffix in BAG_SUFFIXES)
     if not files and not (path / "metadata.yaml").exists():
         inside = sorted(file.parent.name for file in path.glob("*/metadata.yaml"))
         hint = f" It holds bags, name them one by one: {', '.join(inside)}." if inside else ""
@@ -71,41 +243,62 @@ def _files(path: Path) -> list[Path]:
 
 
 def _closed(path: Path, source: Path) -> Bag:
-    """A bag that must be whole. rosbags judges index and metadata; it also reads all that is not plain MCAP."""
+    """A bag that must be whole. rosbags judges index and metadata; it also reads all that is not MCAP."""
     try:
-        with Reader(source) as reader:
+        if source.is_dir():
+            _check_metadata(source)
+        with _CheckedReader(source) as reader:
             told: Any = reader.storage.metadata
-            storages: Any = getattr(reader.storage, "storages", [reader.storage])
-            if told.compression_mode != "message" and all(isinstance(s, McapReader) for s in storages):
-                found = [read_mcap(storage.path) for storage in storages]
-                if not all(file.complete for file in found):
-                    raise ValueError("a chunk is torn")
-                topics = _merged(path, (file.topics for file in found))
-                metadata = {key: value for file in found for key, value in file.metadata.items()}
-            else:
-                topics, metadata = _iterated(reader), {}
+            storages: list[Any] = getattr(reader.storage, "storages", [reader.storage])
+            allowance = Allowance.of(storage.path for storage in storages)
+            parts = [s.content.topics if isinstance(s, _CheckedMcap) else _iterated(s, allowance) for s in storages]
+            if told.compression_mode == "message":
+                for topic in (topic for part in parts for topic in part.values()):
+                    topic.messages = [message_data(message, allowance) for message in topic.messages]
+            topics = _merged(path, parts)
+            contents = [s.content for s in storages if isinstance(s, _CheckedMcap)]
+            metadata = {key: value for content in contents for key, value in content.metadata.items()}
             for c in reader.connections:  # topics without a message stand in the index alone
                 topics.setdefault(c.topic, RawTopic(c.topic, c.msgtype, c.msgdef))
+            if not all(isinstance(word, str) for raw in topics.values() for word in (raw.name, raw.type)):
+                raise ValueError("the name or type of a topic is no text")
             metadata |= {str(key): str(value) for key, value in (told.custom or {}).items()}
+            expected = int(told.message_count)
     except InputError:
         raise
     except TwoTypesError as error:
         raise InputError(f"{path}: {error}.") from error
     except Exception as error:  # rosbags, apsw, zstd, lz4 and struct each raise classes of their own
-        raise InputError(_damaged(path, error)) from error
+        raise InputError(_damaged(path, error or type(error).__name__)) from error
     bag = Bag(path, topics, metadata, None)
-    if bag.count < told.message_count:
-        raise InputError(_damaged(path, f"{bag.count} messages, but its metadata tells {told.message_count}"))
+    if bag.count < expected:
+        raise InputError(_damaged(path, f"{bag.count} messages, but its metadata tells {expected}"))
     return bag
 
 
-def _iterated(reader: Reader) -> dict[str, RawTopic]:
+def _check_metadata(folder: Path) -> None:
+    """Raises before rosbags reads it where metadata.yaml is out of all bounds, or a file becomes more than it may."""
+    document = read_yaml(folder / "metadata.yaml")
+    about = ("rosbag2_bagfile_information",)
+    if str(document.value((*about, "compression_mode"))).lower() == "file":
+        names = document.sequence((*about, "relative_file_paths"))
+        files = [file for name in names if (file := folder / Path(str(name)).name).is_file()]
+        allowance = Allowance.of(files)
+        for file in files:
+            check_file(file, allowance)
+
+
+def _iterated(storage: Any, allowance: Allowance) -> dict[str, RawTopic]:
+    """The topics of a file that is no MCAP file."""
     topics: dict[str, RawTopic] = {}
-    for connection in reader.connections:
+    for connection in storage.connections:
         topic = topics.setdefault(connection.topic, RawTopic(connection.topic, connection.msgtype, connection.msgdef))
         if topic.type != connection.msgtype:
             raise TwoTypesError(f"topic '{topic.name}' has two types, {topic.type} and {connection.msgtype}")
-    for connection, log_time, data in reader.messages():
+    for connection, log_time, data in storage.messages(storage.connections):
+        if not isinstance(log_time, int) or not isinstance(data, bytes):
+            raise ValueError("the log time of a message is no whole number, or its data are no bytes")
+        allowance.take(len(data), "a message")
         topic = topics[connection.topic]
         topic.log_times.append(log_time)
         topic.messages.append(data)
@@ -125,6 +318,12 @@ def _merged(path: Path, parts: Iterable[Mapping[str, RawTopic]]) -> dict[str, Ra
                 topic.messages += raw.messages
     for topic in topics.values():
         times = topic.log_times
+        if times and not 0 <= min(times) <= max(times) <= LATEST:
+            wrong = next(time for time in times if not 0 <= time <= LATEST)
+            raise InputError(
+                f"{path}: topic '{topic.name}': the log time of a message is {wrong} ns; expected 0 to {LATEST} ns "
+                "(year 2262). Record again, or leave the topic out."
+            )
         if any(later < earlier for earlier, later in pairwise(times)):
             order = sorted(range(len(times)), key=times.__getitem__)
             topic.log_times = [times[i] for i in order]

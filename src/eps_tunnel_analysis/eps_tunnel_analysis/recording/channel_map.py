@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eps_tunnel_analysis.recording.message_types import BALL_STATE, JOINT_STATE
+from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE
 from eps_tunnel_analysis.recording.recording import Recording
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.rig import BALL_SIGNALS, Rig
+from labyrinth_sim.rig import BALL_SIGNALS, Rig, Unit
+from labyrinth_sim.trials import Array
 
 FIELDS = {"position": ("position", ""), "velocity": ("velocity", "_velocity"), "torque": ("effort", "_effort")}
 UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
@@ -17,13 +18,23 @@ UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 
 @dataclass(frozen=True)
 class Source:
-    """One signal or command channel: `name`, found in `column` of `topic`, in `unit` (SI)."""
+    """One signal or command channel: `name`, found in `column` of `topic`, in `unit` (SI) once it is converted.
+
+    `limits` are the lowest and highest target that the rig allows a command; None where that is not known. `recorded`
+    says how the recording holds the channel; as `unit` where that is None.
+    """
 
     name: str
     topic: str
     type: str
     column: str
     unit: str
+    limits: tuple[float, float] | None = None
+    recorded: Unit | None = None
+
+    def to_si(self, values: Array) -> Array:
+        """Recorded values in `unit`."""
+        return values if self.recorded is None else self.recorded.to_si(values)
 
 
 @dataclass(frozen=True)
@@ -47,22 +58,28 @@ def channel_map(rig: Rig, namespace: str) -> ChannelMap:
     """What a rig says, under `/real` or `/sim`.
 
     A signal is found by its own name: `motor_x` is the position of joint `motor_x` in the rig's topic of joint states,
-    `motor_x_velocity` its velocity, `motor_x_effort` its effort.
+    `motor_x_velocity` its velocity, `motor_x_effort` its effort. The units that a rig states are those of what is real;
+    a simulation's own topics, under `/sim`, are SI, and hold all joints in one.
     """
+    states_units = namespace.strip("/") != "sim"
 
-    def topic(key: str) -> str:
-        return "/".join(("", *f"{namespace}/{rig.topics[key]}".strip("/").split("/")))
+    def topic(key: str, own: str = "") -> str:
+        return "/".join(("", *f"{namespace}/{own or rig.topics[key]}".strip("/").split("/")))
 
     signals = []
     for measured in rig.measured:
         column, suffix = FIELDS[measured.quantity]
         joint = measured.signal.removesuffix(suffix)
-        signals.append(Source(measured.signal, topic("states"), JOINT_STATE, f"{joint}.{column}", measured.unit))
+        recorded = measured.recorded if states_units else None
+        at = topic("states", measured.topic if states_units else ""), JOINT_STATE, f"{joint}.{column}"
+        signals.append(Source(measured.signal, *at, measured.unit, recorded=recorded))
     if rig.ball:
         signals += [Source(f"ball_{axis}", topic("ball"), BALL_STATE, axis, "m") for axis in "xy"]
     commands = [
-        Source(name, topic("commands"), JOINT_STATE, f"{name}.position", "rad") for name in rig.command_channels
-    ]
+        Source(a.command, topic("commands"), JOINT_STATE, f"{a.command}.position", a.recorded.si, a.limits,
+               a.recorded if states_units else None)
+        for a in rig.axes
+    ]  # fmt: skip
     return ChannelMap(tuple(signals), tuple(commands))
 
 
@@ -119,7 +136,7 @@ def _holds(recording: Recording, source: Source) -> bool:
     column = topic.columns.get(source.column) if topic else None
     if column is None or not (seen := column[np.isfinite(column)]).size:
         return False
-    return source.unit != UNITS["effort"] or bool(np.ptp(seen) > 0.0)  # some drivers fill in zeros
+    return not source.column.endswith(".effort") or bool(np.ptp(seen) > 0.0)  # some drivers fill in zeros
 
 
 def namespace_of(recording: Recording) -> str:

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.recording.message_types import JOINT_STATE, typestore
-from eps_tunnel_analysis.recording.writer import BagWriter
+from eps_tunnel_analysis.recording.decode import JOINT_STATE, typestore
+from eps_tunnel_analysis.recording.plausible import Samples, doubts
+from eps_tunnel_analysis.recording.writer import BagWriter, whole_bag
 from labyrinth_sim.errors import InputError, unknown_name
+
+LONGEST = 2.0**31 - 2.0  # s that a ROS stamp holds, but for the first
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,8 @@ class CsvColumns:
         time: column of the time of measurement, s, from any origin.
         commands: joint -> column of its target angle, rad.
         position, velocity, effort: joint -> column, rad, rad/s and the drive's own unit.
+        scale: factor from the table's angles and speeds, targets included, to rad and rad/s.
+        time_scale: factor from the table's times to s, as 1e-3 for ms.
     """
 
     time: str
@@ -30,6 +35,8 @@ class CsvColumns:
     position: Mapping[str, str] = field(default_factory=dict)
     velocity: Mapping[str, str] = field(default_factory=dict)
     effort: Mapping[str, str] = field(default_factory=dict)
+    scale: float = 1.0
+    time_scale: float = 1.0
 
     @property
     def names(self) -> list[str]:
@@ -38,13 +45,17 @@ class CsvColumns:
         return [self.time, *(column for columns in maps for column in columns.values())]
 
 
-def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/real") -> Path:
+def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/real") -> list[str]:
     """One CSV file with a header line to a new bag with `NS/joint_commands` and `NS/joint_states`.
 
     An empty cell in every command of a row means that no command was sent then; likewise for the measurements.
 
+    Returns:
+        What looks odd in the table, one sentence each.
+
     Raises:
-        InputError: the file, a column or a number cannot be read, a row is only partly filled, or `out` exists.
+        InputError: the file, a column or a number cannot be read, a row is only partly filled, or `out` exists or
+            cannot be written.
     """
     table = Path(table)
     if not columns.position:
@@ -53,10 +64,11 @@ def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/r
     if stray:
         raise InputError([f"{table}: {unknown_name('joint', j, columns.position)}" for j in stray])
     cells = _cells(table, columns.names)
-    stamps = _stamps(table, columns.time, cells[columns.time])
+    stamps = _stamps(table, columns.time, cells[columns.time], columns.time_scale)
     base = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
-    commands = _values(table, cells, columns.commands)
-    states = [_values(table, cells, part) for part in (columns.position, columns.velocity, columns.effort)]
+    commands = columns.scale * _values(table, cells, columns.commands)
+    states = [columns.scale * _values(table, cells, part) for part in (columns.position, columns.velocity)]
+    states.append(_values(table, cells, columns.effort))
     for part, values in (("command", commands), ("measurement", np.hstack(states))):
         filled = np.isfinite(values).sum(axis=1)
         partly = np.flatnonzero((filled > 0) & (filled < values.shape[1]))
@@ -64,14 +76,53 @@ def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/r
             raise InputError(
                 f"{table}: line {partly[0] + 2}: only some {part} cells are filled. Expected all of them, or none."
             )
-    with BagWriter(out, {"source": table.name}) as writer:
+    with whole_bag(out, {"source": table.name}) as writer:
         if columns.commands:
             _write(writer, f"{base}/joint_commands", list(columns.commands), stamps, [commands])
         _write(writer, f"{base}/joint_states", list(columns.position), stamps, states)
+    time = (stamps - stamps[0]) * 1e-9
+    parts = (("command", columns.commands, commands), ("position", columns.position, states[0]))
+    return doubts(
+        (
+            Samples(f"{what} '{joint}'", "rad", str(table), time[sent], values[sent, i], commanded=what == "command")
+            for what, joints, values in parts
+            for i, joint in enumerate(joints)
+            for sent in [np.isfinite(values[:, i])]
+        ),
+        cure=" Then say --degrees.",
+    )
+
+
+def columns_of(table: Path) -> dict[str, NDArray[np.float64]]:
+    """Every column of a CSV that holds numbers, by its header, (n,), NaN for empty cells. Raises InputError."""
+    found = {}
+    for name, cells in _cells(table, None).items():
+        try:
+            found[name] = _numbers(table, name, cells)
+        except InputError:
+            continue
+    return found
+
+
+def arrays_to_bag(
+    out: Path,
+    time: NDArray[np.float64],
+    joints: list[str],
+    position: NDArray[np.float64],
+    command: NDArray[np.float64] | None = None,
+    namespace: str = "/real",
+    metadata: Mapping[str, str] | None = None,
+) -> Path:
+    """Samples at `time` (n,) s, (n, joints) each, to a new bag. Raises InputError: `out` exists."""
+    stamps = np.round((time - time[0]) * 1e9).astype(np.int64) + 1_000_000_000
+    with BagWriter(out, dict(metadata or {})) as writer:
+        if command is not None:
+            _write(writer, f"{namespace}/joint_commands", joints, stamps, [command])
+        _write(writer, f"{namespace}/joint_states", joints, stamps, [position])
     return Path(out)
 
 
-def _cells(table: Path, names: list[str]) -> dict[str, list[str]]:
+def _cells(table: Path, names: list[str] | None) -> dict[str, list[str]]:
     try:
         with table.open(newline="", encoding="utf-8-sig") as stream:
             sample = stream.read(4096)
@@ -79,7 +130,7 @@ def _cells(table: Path, names: list[str]) -> dict[str, list[str]]:
             reader = csv.DictReader(stream, delimiter=max(",;\t", key=sample.split("\n", 1)[0].count), strict=True)
             header = [name.strip() for name in reader.fieldnames or []]
             reader.fieldnames = header
-            missing = [name for name in names if name not in header]
+            missing = [name for name in names or () if name not in header]
             if missing:
                 raise InputError([f"{table}: {unknown_name('column', name, header)}" for name in missing])
             rows = list(reader)
@@ -87,7 +138,7 @@ def _cells(table: Path, names: list[str]) -> dict[str, list[str]]:
         raise InputError(f"{table}: cannot be read as CSV ({error}). Expected text with one header line.") from error
     if not rows:
         raise InputError(f"{table}: no rows below the header.")
-    return {name: [(row[name] or "").strip() for row in rows] for name in names}
+    return {name: [(row[name] or "").strip() for row in rows] for name in (header if names is None else names)}
 
 
 def _numbers(table: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
@@ -105,15 +156,22 @@ def _numbers(table: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
     return values
 
 
-def _stamps(table: Path, name: str, cells: list[str]) -> NDArray[np.int64]:
+def _stamps(table: Path, name: str, cells: list[str], scale: float) -> NDArray[np.int64]:
     """(n,) ns from the first row on."""
-    seconds = _numbers(table, name, cells)
+    seconds = scale * _numbers(table, name, cells)
     steps = np.diff(seconds)
     bad = np.flatnonzero(np.isnan(seconds)) if np.isnan(seconds).any() else np.flatnonzero(steps <= 0) + 1
     if len(bad):
         line, cell = bad[0] + 2, cells[bad[0]]
         raise InputError(f"{table}: line {line}: the time '{cell}' does not increase. Expected seconds that do.")
-    return np.round((seconds - seconds[0]) * 1e9).astype(np.int64) + 1_000_000_000
+    since = seconds - seconds[0]
+    if not since[-1] < LONGEST:
+        line = int(np.flatnonzero(~(since < LONGEST))[0])
+        raise InputError(
+            f"{table}: line {line + 2}: the time '{cells[line]}' lies {since[line]:.3g} s after the first row's; "
+            f"a stamp holds {LONGEST:.3g} s. Is it in ms or us? Say so by --time-unit."
+        )
+    return np.round(since * 1e9).astype(np.int64) + 1_000_000_000
 
 
 def _values(table: Path, cells: Mapping[str, list[str]], columns: Mapping[str, str]) -> NDArray[np.float64]:

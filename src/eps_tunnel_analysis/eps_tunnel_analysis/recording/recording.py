@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recording: the raw stamped channels of one bag, as recorded."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.shown import shown
 
 TimeSource = Literal["header", "log"]
 Phase = Literal["start", "end", "aborted"]
@@ -20,16 +21,7 @@ Nanoseconds = NDArray[np.int64]
 Column = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Gap:
-    """A span without messages on one topic."""
-
-    topic: str
-    start: int
-    """ns, stamp of the last message before it"""
-    seconds: float
-
-
+@shown
 @dataclass(frozen=True)
 class StampedTopic:
     """All n messages of one topic as columns, in the order of their log time.
@@ -88,6 +80,7 @@ class TrialMark:
     """s, length of the sequence; 0 where unknown"""
 
 
+@shown
 @dataclass(frozen=True)
 class Recording:
     """One bag as recorded: nothing resampled, nothing dropped.
@@ -133,11 +126,3 @@ class Recording:
     def stamps(self, name: str) -> Nanoseconds:
         """(n,) ns of one topic by the recording's time source."""
         return self.topics[name].stamps(self.time_source)
-
-    def gaps(self, max_gap: float) -> Iterator[Gap]:
-        """Spans longer than `max_gap` s between two messages of a topic."""
-        for name in self.topics:
-            stamps = self.stamps(name)
-            steps = np.diff(stamps)
-            for i in np.flatnonzero(steps > max_gap * 1e9):
-                yield Gap(name, int(stamps[i]), float(steps[i]) * 1e-9)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports: one self-contained HTML page made of sections.
 
-A section is one file in sections/ with one function that turns values into a `page.Section` of text, figures, tables
-and charts. A report is a list of such functions, as `compare_report.SECTIONS`; `page.render` makes the page.
+A section is a function that turns values into a `page.Section` of text, figures, tables and charts. A report is a list
+of such functions, as `reports.SECTIONS`; `page.render` makes the page.
 """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run labyrinth_hw calibrate_camera`: the lens from a chessboard, the latency from the moving board.
+"""`ros2 run labyrinth_hw calibrate_camera`: lens from a chessboard, latency from the moving board, a marble's colour.
 
-`lens` needs no ROS. `latency` listens to NS/joint_states while it watches the board through the camera; let a sequence
-play meanwhile. Both write a new YAML file and overwrite none.
+`lens` and `marble` need no ROS. `latency` listens to NS/joint_states while it watches the board through the camera; let
+a sequence play meanwhile. All write a new YAML file and overwrite none.
 """
 
 import argparse
@@ -18,12 +18,12 @@ from tqdm import tqdm
 
 from labyrinth_hw.camera import Camera, Frame, Intrinsics
 from labyrinth_hw.camera_calibration import calibrate_from_frames, measure_latency, with_latency
-from labyrinth_hw.dots import DotPlan
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.landmarks import LandmarkTracker
+from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
+from labyrinth_hw.marble import Marble
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-AXES = ("board_x", "board_y")
+BOARD_JOINTS = ("board_x", "board_y")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,10 +39,17 @@ def parser() -> argparse.ArgumentParser:
     latency = commands.add_parser("latency", help="latency from the board's tilt seen against NS/joint_states")
     latency.add_argument("--source", required=True, help="device number or path, or stream address")
     latency.add_argument("--camera", type=Path, required=True, help="file that `lens` wrote")
-    latency.add_argument("--ns", default="/real", help="namespace of joint_states (default /real)")
-    latency.add_argument("--axis", default="board_x", choices=AXES, help="joint to compare with (default board_x)")
+    latency.add_argument("--ns", default="real", help="namespace of joint_states (default real)")
+    latency.add_argument(
+        "--axis", default="board_x", choices=BOARD_JOINTS, help="joint to compare with (default %(default)s)"
+    )
     latency.add_argument("--seconds", type=float, default=15.0, help="how long to watch (default 15)")
-    for command in (lens, latency):
+    marble = commands.add_parser("marble", help="a painted marble's colour from one click on it")
+    marble.add_argument("--source", required=True, help="device number or path, picture, video file, or stream address")
+    marble.add_argument(
+        "--at", nargs=2, type=int, metavar=("X", "Y"), help="px of the click; without it a window opens to click in"
+    )
+    for command in (lens, latency, marble):
         command.add_argument("--out", type=Path, required=True, help="new YAML file")
     return top
 
@@ -54,7 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(f"Unknown arguments: {' '.join(rest)}. See calibrate_camera {given.command} --help.")
         if given.out.exists():
             raise InputError(f"{given.out} exists and is not overwritten. Give another name.")
-        calibration = _lens(given) if given.command == "lens" else _latency(given, rest)
+        calibration: Intrinsics | Marble
+        if given.command == "marble":
+            calibration = _marble(given)
+        else:
+            calibration = _lens(given) if given.command == "lens" else _latency(given, rest)
         calibration.save(given.out)
     except InputError as error:
         print(error, file=sys.stderr)
@@ -85,6 +96,33 @@ def _lens(given: argparse.Namespace) -> Intrinsics:
     if lens.residual > 1.0:
         print("Residual above 1 px: is the board flat, the corner count right, the focus fixed?", file=sys.stderr)
     return lens
+
+
+def _marble(given: argparse.Namespace) -> Marble:
+    frame = next(_views(given.source, 1), None)
+    if frame is None:
+        raise InputError(f"{given.source} delivered no picture.")
+    marble = Marble.clicked(frame, tuple(given.at) if given.at else _click(frame))
+    print(f"tint {marble.tint[0]:.2f} {marble.tint[1]:.2f}, brightness {marble.brightness:.2f} of the wood's")
+    return marble
+
+
+def _click(frame: Frame) -> tuple[int, int]:
+    """Where a person clicks in a window."""
+    clicks: list[tuple[int, int]] = []
+    title = "Click on the marble's middle"
+    try:
+        cv2.imshow(title, frame)
+        cv2.setMouseCallback(title, lambda event, x, y, *_: clicks.append((x, y)) if event == 1 else None)
+        while not clicks:
+            if cv2.waitKey(50) == 27:
+                raise KeyboardInterrupt
+        cv2.destroyAllWindows()
+    except cv2.error as error:
+        raise InputError(
+            "No window can be opened here; give the click by --at X Y, as any picture viewer shows it."
+        ) from error
+    return clicks[0]
 
 
 def _pictures(folder: Path) -> list[Frame]:
@@ -136,7 +174,7 @@ def _latency(given: argparse.Namespace, ros: Sequence[str]) -> Intrinsics:
     if len(encoder) < 2:
         raise InputError(f"{len(encoder)} positions of {given.axis} on {given.ns}/joint_states. Is the node running?")
     angles = np.array(encoder)
-    found = measure_latency(seen[:, 0], seen[:, 1 + AXES.index(given.axis)], angles[:, 0], angles[:, 1])
+    found = measure_latency(seen[:, 0], seen[:, 1 + BOARD_JOINTS.index(given.axis)], angles[:, 0], angles[:, 1])
     print(f"latency {1e3 * found.seconds:.1f} +- {1e3 * found.spread:.1f} ms, correlation {found.correlation:.3f}")
     return with_latency(lens, found)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`ros2 run labyrinth_hw calibrate_motors`: the positioning error of each servo and the slack of its belt.
 
-Each axis is led through its range up and down; the board's rests, by the potentiometers, give the map. Needs no ROS,
-and the hardware node must not run at the same time. Writes a new YAML file: the given configuration with a
+Each axis moves through its range up and down; where the board rests, by the potentiometers, gives the map. Needs no
+ROS, and the hardware node must not run at the same time. Writes a new YAML file: the given configuration with a
 `compensation:` section.
 """
 
@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -21,10 +20,11 @@ from labyrinth_hw import config
 from labyrinth_hw.compensation import Compensation, measured_map
 from labyrinth_hw.errors import HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement
-from labyrinth_hw.safety import Command, State
-from labyrinth_hw.settings import load_hardware
+from labyrinth_hw.new_file import write_new
+from labyrinth_hw.safety import Goal, State
+from labyrinth_hw.settings import CompensationSection, load_hardware
 
-PERIOD = 0.01  # s
+CYCLE = 0.01  # s
 BEYOND_DEG = 1.0  # past the ends of the map; more than any belt's slack
 LEAD = 0.1  # rad/s between two goals; thrown by a faster servo, the board would coast within the slack
 
@@ -47,16 +47,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         if given.out.exists():
             raise InputError(f"{given.out} exists and is left as it is; name another file.")
-        content = config.load("hw", given.config)
-        hardware = Hardware(load_hardware(given.config), period=PERIOD)
+        content = dict(config.read(config.find("hw", given.config)).content)
+        hardware = Hardware(load_hardware(given.config), period=CYCLE)
         hardware.connect()
+        hardware.arm()
         try:
             found = calibrate(hardware, given.range_deg, given.step_deg, given.settle, given.samples)
         finally:
             hardware.close()
-        content["compensation"] = {name: as_yaml(entry) for name, entry in found.items()}
-        with given.out.open("x", encoding="utf-8") as file:
-            yaml.safe_dump(content, file, sort_keys=False)
+        content["compensation"] = {
+            name: CompensationSection.of(entry).model_dump(mode="json") for name, entry in found.items()
+        }
+        write_new(given.out, yaml.safe_dump(content, sort_keys=False))
     except (InputError, HardwareError, OSError) as error:
         print(f"calibrate_motors: {error}", file=sys.stderr)
         raise SystemExit(2) from error
@@ -116,7 +118,7 @@ def lead(hardware: Hardware, start: dict[str, float], goals: dict[str, float]) -
         measured = _period(hardware, None, time.monotonic() + 2.0)
         start = {name: measured.motors[name].position for name in goals}
     longest = max(abs(goals[name] - start[name]) for name in goals)
-    shares = np.linspace(0.0, 1.0, 1 + max(1, round(longest / (LEAD * PERIOD))))[1:]
+    shares = np.linspace(0.0, 1.0, 1 + max(1, round(longest / (LEAD * CYCLE))))[1:]
     for share in shares:
         step = {name: start[name] + float(share) * (goals[name] - start[name]) for name in goals}
         _period(hardware, step, time.monotonic() + 2.0)
@@ -127,7 +129,7 @@ def rest(hardware: Hardware, goals: dict[str, float], axis: int, settle: float, 
     """Hold goals, and return where the board rests on one axis, rad."""
     readings: list[float] = []
     begun = time.monotonic()
-    deadline = begun + settle + 20 * samples * PERIOD + 2.0
+    deadline = begun + settle + 20 * samples * CYCLE + 2.0
     while len(readings) < samples:
         measured = _period(hardware, goals, deadline)
         if measured.board is not None and time.monotonic() - begun > settle:
@@ -140,8 +142,9 @@ def rest(hardware: Hardware, goals: dict[str, float], axis: int, settle: float, 
 def _period(hardware: Hardware, goals: dict[str, float] | None, deadline: float) -> Measurement:
     """One control period, or as many as it takes to hear the servos. Raises HardwareError after `deadline`."""
     while True:
-        due = time.monotonic() + PERIOD
-        measured = hardware.cycle(None if goals is None else Command(goals, time.monotonic()))
+        due = time.monotonic() + CYCLE
+        now = time.monotonic()
+        measured = hardware.cycle({name: Goal(angle, now) for name, angle in (goals or {}).items()})
         if hardware.safety.state is State.STOPPED:
             raise HardwareError("; ".join(hardware.safety.reasons))
         time.sleep(max(0.0, due - time.monotonic()))
@@ -149,19 +152,6 @@ def _period(hardware: Hardware, goals: dict[str, float] | None, deadline: float)
             return measured
         if time.monotonic() > deadline:
             raise HardwareError(f"The rig fell silent: {hardware.trouble}")
-
-
-def as_yaml(entry: Compensation) -> dict[str, Any]:
-    """A compensation as `compensation_from` reads it."""
-    return {
-        "angles_deg": [_degrees(angle) for angle in entry.angles],
-        "errors_deg": [_degrees(error) for error in entry.errors],
-        "slack_deg": _degrees(entry.slack),
-    }
-
-
-def _degrees(angle: float) -> float:
-    return round(float(np.degrees(angle)), 4)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From what the rig told to ROS messages."""
+"""ROS messages of what the rig measured."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -7,28 +7,29 @@ from math import nan
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 
-from labyrinth_hw.hardware import Measurement
-from labyrinth_hw.health import Health
+from labyrinth_hw.camera import Intrinsics
+from labyrinth_hw.hardware import Health, Measurement
 from labyrinth_hw.vision import Sight
 from labyrinth_msgs.msg import BallState
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
+OPTICAL_FRAME = "camera_optical_frame"  # x to the right of the picture, y down, z away from the camera
 STEP = 0.05  # s; a change of the clock by more is a step, not drift
 TIGHT = 0.5e-3  # s; two clock readings further apart were interrupted
 
 
 def to_time(seconds: float) -> Time:
-    """Seconds as a stamp."""
-    nanoseconds = round(seconds * 1e9)
+    """Seconds as a stamp; zero, "no time", for what lies before the clock's beginning."""
+    nanoseconds = max(0, round(seconds * 1e9))
     return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 class Stamps:
     """From the steady clock, by which the rig is run, to the clock that stamps messages.
 
-    The offset is taken anew with every stamp, unless the process was interrupted between the two readings; so a step of
+    The offset is measured for every stamp, unless the process was interrupted between the two readings; so a step of
     the other clock is followed, and counted, and a busy machine does not make stamps jitter.
 
     Args:
@@ -72,21 +73,38 @@ def joint_state(measured: Measurement, potentiometers: Iterable[str], stamp: Tim
     return message
 
 
-def ball_state(sight: Sight, stamp: Time) -> BallState:
-    """Where the ball was seen, or that it was not."""
-    message = BallState(visible=sight.visible, x=sight.x, y=sight.y)
-    message.header.stamp, message.header.frame_id = stamp, "board"
+def board_state(tilt: tuple[float, float], stamp: Time) -> JointState:
+    """The board's tilt as the camera saw it, rad."""
+    message = JointState(name=["board_x", "board_y"], position=list(tilt), velocity=[nan, nan], effort=[nan, nan])
+    message.header.stamp = stamp
     return message
 
 
-def annotated_image(sight: Sight, stamp: Time) -> Image | None:
-    """The picture with what was found drawn in, None where none was asked for."""
-    if sight.picture is None:
-        return None
-    height, width, data = sight.picture
-    image = Image(height=height, width=width, encoding="bgr8", step=3 * width, data=data)
-    image.header.stamp, image.header.frame_id = stamp, "board"
-    return image
+def ball_state(sight: Sight, stamp: Time) -> BallState:
+    """Where the ball was seen, or that it was not."""
+    message = BallState(visible=sight.visible, x=sight.x, y=sight.y)
+    message.header.stamp, message.header.frame_id = stamp, "board_origin"
+    return message
+
+
+def image(picture: tuple[int, int, bytes], stamp: Time) -> Image:
+    """A picture (height, width, BGR bytes), in the camera's optical frame."""
+    height, width, data = picture
+    message = Image(height=height, width=width, encoding="bgr8", step=3 * width, data=data)
+    message.header.stamp, message.header.frame_id = stamp, OPTICAL_FRAME
+    return message
+
+
+def camera_info(lens: Intrinsics, stamp: Time) -> CameraInfo:
+    """The lens, for one picture; pixels are not rectified."""
+    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
+    message = CameraInfo(
+        width=lens.width, height=lens.height, distortion_model="plumb_bob", d=list(lens.distortion),
+        k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )  # fmt: skip
+    message.header.stamp, message.header.frame_id = stamp, OPTICAL_FRAME
+    return message
 
 
 def diagnostics(health: Health, name: str, hardware: str, stamp: Time) -> DiagnosticArray:

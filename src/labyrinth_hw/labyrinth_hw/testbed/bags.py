@@ -7,20 +7,27 @@ import os
 from collections.abc import Iterator
 from math import nan
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.testbed.offline import NEXT_TRIAL, Run
-from labyrinth_hw.testbed.parameters import Array
+from labyrinth_hw.testbed.quantities import Array
 
 EPOCH = 1_700_000_000  # s; a fixed date, so that the same seed writes the same messages
 LATENCY = 0.002  # s from a stamp to the recorder
 NAMES = ["motor_x", "motor_y"]
+BOARD = ["board_x", "board_y"]
+LONGEST = 4 * 3600.0  # s, of commands
 START, END, LOST = 0, 1, 0  # phases of Trial, kind of BallEvent
 JOINT_STATE, TRIAL = "sensor_msgs/msg/JointState", "labyrinth_msgs/msg/Trial"
 BALL_STATE, BALL_EVENT = "labyrinth_msgs/msg/BallState", "labyrinth_msgs/msg/BallEvent"
@@ -60,30 +67,92 @@ def read_commands(path: Path, rate: float = 100.0) -> tuple[Array, Array, str]:
         columns = np.array([[float(row[name]) for name in ("time", *NAMES)] for row in rows])
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise InputError(
             f"{path}: expected the columns time, motor_x, motor_y with numbers (s, rad): {error}."
         ) from error
     if len(columns) < 2 or not np.isfinite(columns).all() or not (np.diff(columns[:, 0]) > 0).all():
         raise InputError(f"{path}: expected at least two rows of finite numbers with increasing time.")
-    time = np.arange(round((columns[-1, 0] - columns[0, 0]) * rate) + 1) / rate
+    seconds = float(columns[-1, 0]) - float(columns[0, 0])
+    if seconds > LONGEST:
+        raise InputError(f"{path}: the commands last {seconds:g} s; expected at most {LONGEST:g} s. Are times in s?")
+    time = np.arange(round(seconds * rate) + 1) / rate
     held = np.searchsorted(columns[:, 0] - columns[0, 0], time + 1e-9, side="right") - 1
     return time, columns[held, 1:], hashlib.sha256(text.encode()).hexdigest()
 
 
+class CheckedStorage:
+    """rosbags' place for messages, filled by the mcap library: checksums on every chunk, on all data and the summary.
+
+    Args:
+        folder: of the bag; the file is named after it.
+        compression: what rosbags asks for; chunks are compressed in any case.
+    """
+
+    def __init__(self, folder: Path, compression: CompressionMode) -> None:
+        self.path = folder / f"{folder.name}.mcap"
+        self._file = self.path.open("xb")
+        self._mcap = McapWriter(self._file, compression=CompressionType.ZSTD, enable_crcs=True, enable_data_crcs=True)
+        self._mcap.start("ros2")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[int, int] = {}
+
+    def add_msgtype(self, connection: Connection) -> None:
+        """A message's definition."""
+        text = connection.msgdef.data.encode()
+        self._schemas[connection.msgtype] = self._mcap.register_schema(connection.msgtype, "ros2msg", text)
+
+    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
+        """A topic."""
+        self._channels[connection.id] = self._mcap.register_channel(
+            connection.topic, "cdr", self._schemas[connection.msgtype], {"offered_qos_profiles": offered_qos_profiles}
+        )
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """A message, ns."""
+        self._mcap.add_message(self._channels[connection.id], timestamp, bytes(data), timestamp)
+
+    def close(self, version: int, metadata: str) -> None:
+        """Index and end of the file."""
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata})
+        self._mcap.finish()
+        self._file.close()
+
+    def abort(self) -> None:
+        """Leave the file as it is."""
+        self._file.close()
+
+
+class BagWriter(Writer):
+    """rosbags' writer of rosbag2 folders, with checksums in the file."""
+
+    STORAGE_PLUGINS = MappingProxyType({StoragePlugin.MCAP: CheckedStorage})
+
+
 def write_bag(folder: Path, run: Run, sequence: str, sequence_hash: str, namespace: str = "/real") -> Path:
-    """Write all trials of a run into one new MCAP bag, with trial marks.
+    """Write all trials of a run into one new MCAP bag, with trial marks. It appears whole or not at all.
 
     Raises:
-        InputError: the folder exists; nothing is overwritten.
+        InputError: the folder exists, for nothing is overwritten; or it cannot be written.
     """
     if folder.exists():
         raise InputError(f"{folder} exists and is left as it is; name another folder.")
     store = typestore()
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
+            _write(Path(scratch) / folder.name, store, run, sequence, sequence_hash, namespace)
+            (Path(scratch) / folder.name).rename(folder)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be written: {error.strerror or error}. Nothing is left of it.") from error
+    return folder
+
+
+def _write(folder: Path, store: Typestore, run: Run, sequence: str, sequence_hash: str, namespace: str) -> None:
+    writer = BagWriter(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     topics = {"joint_commands": JOINT_STATE, "joint_states": JOINT_STATE, "trial": TRIAL}
+    if run.tilt is not None:
+        topics["board_states"] = JOINT_STATE
     if run.ball is not None:
         topics |= {"ball": BALL_STATE, "ball_event": BALL_EVENT}
     with writer:
@@ -93,7 +162,6 @@ def write_bag(folder: Path, run: Run, sequence: str, sequence_hash: str, namespa
         for stamp, topic, message in sorted(_messages(store, run, sequence, sequence_hash), key=lambda entry: entry[0]):
             data = store.serialize_cdr(message, topics[topic])
             writer.write(connections[topic], _nanoseconds(stamp + LATENCY), data)
-    return folder
 
 
 def _nanoseconds(stamp: float) -> int:
@@ -103,6 +171,7 @@ def _nanoseconds(stamp: float) -> int:
 def _messages(store: Typestore, run: Run, sequence: str, sequence_hash: str) -> Iterator[tuple[float, str, Any]]:
     kinds = store.types
     joint, ball, event, mark = (kinds[name] for name in (JOINT_STATE, BALL_STATE, BALL_EVENT, TRIAL))
+    joints = 4 if run.tilt is None else 2
     duration = float(2 * run.command_stamps[-1] - run.command_stamps[-2])
     for trial, stamps in enumerate(run.stamps):
         begin = 1.0 + trial * (duration + NEXT_TRIAL)
@@ -118,6 +187,13 @@ def _messages(store: Typestore, run: Run, sequence: str, sequence_hash: str) -> 
                 "joint_commands",
                 joint(header=_header(kinds, at), name=NAMES, position=np.array(command), velocity=none, effort=none),
             )
+        if run.tilt is not None and run.tilt_stamps is not None:
+            for stamp, tilt in zip(run.tilt_stamps[trial], run.tilt[trial], strict=True):
+                unknown = np.full(2, nan)
+                header = _header(kinds, begin + stamp)
+                yield begin + stamp, "board_states", joint(
+                    header=header, name=BOARD, position=np.array(tilt), velocity=unknown, effort=unknown
+                )  # fmt: skip
         fallen = False
         for k, stamp in enumerate(stamps):
             at = begin + stamp
@@ -127,16 +203,16 @@ def _messages(store: Typestore, run: Run, sequence: str, sequence_hash: str) -> 
                 "joint_states",
                 joint(
                     header=header,
-                    name=[*NAMES, "board_x", "board_y"],
-                    position=np.concatenate([run.motor[trial, k], run.board[trial, k]]),
-                    velocity=np.concatenate([run.motor_speed[trial, k], [nan, nan]]),
-                    effort=np.concatenate([run.effort[trial, k], [nan, nan]]),
+                    name=[*NAMES, *BOARD][:joints],
+                    position=np.concatenate([run.motor[trial, k], run.board[trial, k]])[:joints],
+                    velocity=np.concatenate([run.motor_speed[trial, k], [nan, nan]])[:joints],
+                    effort=np.concatenate([run.effort[trial, k], [nan, nan]])[:joints],
                 ),
             )
             if run.ball is not None:
                 x, y = (float(v) for v in run.ball[trial, k])
                 seen = bool(np.isfinite(x))
-                header = _header(kinds, at, "board")
+                header = _header(kinds, at, "board_origin")
                 yield at, "ball", ball(header=header, visible=seen, x=x if seen else 0.0, y=y if seen else 0.0)
                 if not seen and not fallen:
                     fallen = True

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from labyrinth_hw.testbed.parameters import Array
-from labyrinth_hw.testbed.video_scene import Layout
+from labyrinth_hw.testbed.quantities import Array
+from labyrinth_hw.testbed.scene import Layout
 
 GRAVITY = 9.81  # m/s^2
 ROLLING = 5.0 / 7.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line of the emulated testbed."""
+"""`ros2 run labyrinth_hw testbed`: an emulated rig behind pseudo-serial ports. Needs no ROS."""
 
 import argparse
 import json
@@ -11,14 +11,17 @@ import time
 from pathlib import Path
 from types import FrameType
 
+from labyrinth_hw.devices import default_link_dir
 from labyrinth_hw.errors import HardwareError, InputError
-from labyrinth_hw.links import default_link_dir
+from labyrinth_hw.new_file import write_new
 from labyrinth_hw.priority import ask_for_priority
 from labyrinth_hw.testbed.hidden import TestbedConfig, listing, load_testbed
-from labyrinth_hw.testbed.layouts import load_layout
-from labyrinth_hw.testbed.live import FAULTS, LiveTestbed
-from labyrinth_hw.testbed.rig import LiveRig
-from labyrinth_hw.testbed.video_process import VideoProcess
+from labyrinth_hw.testbed.live import FAULTS, LiveRig, LiveTestbed
+from labyrinth_hw.testbed.scene import load_layout
+from labyrinth_hw.testbed.video import VideoProcess
+
+MOST_TRIALS = 10_000
+MOST_SAMPLES = 2_000_000  # of a bag, in all its trials
 
 
 def parser() -> argparse.ArgumentParser:
@@ -41,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
         help="hide one more effect, e.g. backlash.x=strong",
     )
     p.add_argument("--seed", type=int, help="of the noise; without --effect and with --draw, of the hidden effect too")
-    p.add_argument("--draw", action="store_true", help="hide an effect drawn at random by the seed")
+    p.add_argument("--draw", action="store_true", help="hide an effect picked at random by the seed")
     p.add_argument("--reveal", type=Path, metavar="FILE", help="write what is hidden to this JSON file")
     p.add_argument("--link-dir", type=Path, help=f"folder of the links to the ports (default: {default_link_dir()})")
     p.add_argument("--baud", type=int, help="speed that the servo bus imitates (default: the config's)")
@@ -75,17 +78,6 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(2) from error
 
 
-def write_new(path: Path, text: str) -> None:
-    """Write a file that must not exist yet."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise InputError(f"{path} exists and is left as it is; name another file.") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error}.") from error
-
-
 def offline(loaded: TestbedConfig, bag: Path, commands: Path | None, trials: int, seed: int, with_ball: bool) -> None:
     """Play commands on the rig without ports or real time and write a bag."""
     from labyrinth_hw.testbed.bags import read_commands, write_bag
@@ -96,24 +88,33 @@ def offline(loaded: TestbedConfig, bag: Path, commands: Path | None, trials: int
     if bag.exists():
         raise InputError(f"{bag} exists and is left as it is; name another folder.")
     time_, goals, digest = read_commands(commands)
+    if not 1 <= trials <= MOST_TRIALS or trials * len(time_) > MOST_SAMPLES:
+        raise InputError(
+            f"--trials {trials} of {len(time_)} samples: expected 1 to {MOST_TRIALS} trials, and at most "
+            f"{MOST_SAMPLES} samples in all. Write several bags."
+        )
+    if not 0 <= seed < 2**63:
+        raise InputError(f"--seed {seed}: expected a whole number from 0 to 2^63 - 1.")
     layout = load_layout(loaded.layout) if with_ball else None
     result = run_offline(loaded, time_, goals, trials, seed, layout)
     print(f"bag: {write_bag(bag, result, commands.stem, digest)}", flush=True)
 
 
 def run(loaded: TestbedConfig, given: argparse.Namespace, link_dir: Path, seed: int) -> None:
-    """Serve the ports until told to stop."""
+    """Serve the ports until a signal or the end of --duration."""
     stop: list[int] = []
 
-    def told(number: int, frame: FrameType | None) -> None:
+    def interrupted(number: int, frame: FrameType | None) -> None:
         stop.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, told)
+        signal.signal(number, interrupted)
     baud = given.baud or loaded.baud
     layout = load_layout(loaded.layout) if given.video is not None else None
-    rig = LiveRig(loaded.reality, loaded.servo, seed, time.monotonic(), layout)
-    video = VideoProcess(loaded.layout, given.video, given.video_rate, seed) if given.video is not None else None
+    rig = LiveRig(loaded.reality, loaded.servo, seed, time.monotonic(), layout, loaded.mode)
+    video = None
+    if given.video is not None:
+        video = VideoProcess(loaded.layout, given.video, given.video_rate, seed, loaded.marble)
     testbed = LiveTestbed(rig, link_dir, baud, loaded.sensor_baud, seed, video)
     end = time.monotonic() + given.duration if given.duration is not None else float("inf")
     lines = InputLines()
@@ -158,3 +159,7 @@ def _without_ros(arguments: list[str]) -> list[str]:
     at = arguments.index("--ros-args")
     rest = arguments[at + 1 :]
     return arguments[:at] + (rest[rest.index("--") + 1 :] if "--" in rest else [])
+
+
+if __name__ == "__main__":
+    main()

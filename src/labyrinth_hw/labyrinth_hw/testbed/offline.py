@@ -2,7 +2,7 @@
 """The emulated rig without serial ports and without real time: many rigs and trials at once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.testbed.ball import Ball
 from labyrinth_hw.testbed.hidden import TestbedConfig
-from labyrinth_hw.testbed.parameters import Array, stack
-from labyrinth_hw.testbed.plant import PERIOD, Plant
+from labyrinth_hw.testbed.plant import CONTROL_PERIOD, Plant
+from labyrinth_hw.testbed.quantities import Array, stack
+from labyrinth_hw.testbed.scene import Layout
 from labyrinth_hw.testbed.servo import quantised
-from labyrinth_hw.testbed.video_scene import Layout
 
 STAMP_JITTER = 0.0003  # s, standard deviation of the sampling instants
 NEXT_TRIAL = 3.0  # s between the end of a trial and the start of the next
@@ -32,6 +32,8 @@ class Run:
         commands: (T, 2) rad, as sent.
         ball: (p, T, 2) m in the board frame as the camera sees it, NaN while lost; None without a ball.
         hole: (p,) number of the hole the ball fell into, -1 if it did not.
+        tilt_stamps, tilt: (p, C) s and (p, C, 2) rad, the board as the camera sees it, C pictures; None where
+            potentiometers measure it.
     """
 
     stamps: Array
@@ -43,6 +45,8 @@ class Run:
     commands: Array
     ball: Array | None
     hole: NDArray[np.int_]
+    tilt_stamps: Array | None = None
+    tilt: Array | None = None
 
 
 def run_offline(
@@ -84,18 +88,19 @@ def run_many(
     q = stack([config.reality for config in configs], trials)
     noises = [np.random.default_rng([seed, trial]) for seed in seeds for trial in range(trials)]
     start = commands[0] + START_SPREAD * np.array([rng.standard_normal(2) for rng in noises])
-    ages = np.tile(np.arange(trials) * (count * every * PERIOD + NEXT_TRIAL), len(configs))
+    ages = np.tile(np.arange(trials) * (count * every * CONTROL_PERIOD + NEXT_TRIAL), len(configs))
     plant = Plant(q, start, ages)
     noise = np.stack([rng.standard_normal((count, 11)) for rng in noises], axis=1)  # (T, rows, 11)
     lost = np.stack([rng.random((count, 2)) for rng in noises], axis=1) < q.command_loss
     ball = Ball(q, layout, np.tile(np.array(layout.path[0], dtype=float), (rows, 1))) if layout is not None else None
-    latency = max(1, int(np.ceil(q.camera_latency.max() / (every * PERIOD)))) + 1
+    latency = max(1, int(np.ceil(q.camera_latency.max() / (every * CONTROL_PERIOD)))) + 1
     trail: list[Array] = []
 
     plant.command(np.tile(commands[0], (rows, 1)))
-    plant.advance(round(lead / PERIOD))
+    plant.advance(round(lead / CONTROL_PERIOD))
     out = {name: np.empty((count, rows, 2)) for name in ("motor", "motor_speed", "effort", "board", "ball")}
-    stamps = np.empty((count, rows))
+    stamps, tilts = np.empty((count, rows)), np.empty((count, rows, 2))
+    phase = np.array([rng.uniform(0.0, every * CONTROL_PERIOD) for rng in noises])  # of the camera's pictures
     for k in range(count):
         age = np.abs(STAMP_JITTER * noise[k, :, 10:])
         stamps[k] = time[k] - age[:, 0]
@@ -106,9 +111,11 @@ def run_many(
         out["effort"][k] = plant.motor.kt * plant.motor.current
         pot = q.pot_gain * plant.pots(np.broadcast_to(age, (rows, 2))) + q.pot_bias + q.pot_noise * noise[k, :, 2:4]
         out["board"][k] = quantised(pot, q.pot_tick)
+        tilts[k] = q.pot_gain * plant.pots(np.broadcast_to(phase[:, None], (rows, 2))) + q.pot_bias
+        tilts[k] += q.pot_noise * noise[k, :, 2:4]
         if ball is not None and layout is not None:
             trail = [*trail[-latency:], np.where(ball.lost[:, None], np.nan, ball.position)]
-            out["ball"][k] = _seen(trail, q.camera_latency[:, 0] / (every * PERIOD))
+            out["ball"][k] = _seen(trail, q.camera_latency[:, 0] / (every * CONTROL_PERIOD))
             centre = 0.5 * np.array(layout.board)
             out["ball"][k] = centre + q.camera_scale * (out["ball"][k] - centre) + q.camera_noise * noise[k, :, 8:10]
         goal = np.where(lost[k], np.nan, commands[k])
@@ -119,8 +126,13 @@ def run_many(
         else:
             for _ in range(every):
                 plant.advance(1)
-                ball.step(plant.board, PERIOD)
-    return [_run(out, stamps, ball, slice(i * trials, (i + 1) * trials), time, commands) for i in range(len(configs))]
+                ball.step(plant.board, CONTROL_PERIOD)
+    runs = [_run(out, stamps, ball, slice(i * trials, (i + 1) * trials), time, commands) for i in range(len(configs))]
+    seen = time[:, None] - phase
+    return [
+        _filmed(run, config, seen[:, i * trials : (i + 1) * trials], tilts[:, i * trials : (i + 1) * trials])
+        for i, (run, config) in enumerate(zip(runs, configs, strict=True))
+    ]
 
 
 def _check(configs: Sequence[TestbedConfig], time: Array, commands: Array, trials: int, seeds: Sequence[int]) -> int:
@@ -133,8 +145,8 @@ def _check(configs: Sequence[TestbedConfig], time: Array, commands: Array, trial
         complaints.append(f"Expected time (T,) with T >= 2 and commands (T, 2), got {time.shape} and {commands.shape}.")
     elif not np.isfinite(commands).all():
         complaints.append("Commands must be finite angles in rad.")
-    every = round(float(np.diff(time).mean()) / PERIOD) if time.ndim == 1 and len(time) > 1 else 1
-    if not complaints and (every < 1 or not np.allclose(np.diff(time), every * PERIOD, atol=1e-6)):
+    every = round(float(np.diff(time).mean()) / CONTROL_PERIOD) if time.ndim == 1 and len(time) > 1 else 1
+    if not complaints and (every < 1 or not np.allclose(np.diff(time), every * CONTROL_PERIOD, atol=1e-6)):
         complaints.append(
             f"Time must go in even steps of whole milliseconds, got {np.ptp(np.diff(time)):g} s of unevenness."
         )
@@ -151,6 +163,16 @@ def _seen(trail: list[Array], delay: Array) -> Array:
     rows = np.arange(len(delay))
     newer, older = (past[np.maximum(len(trail) - 1 - whole - i, 0), rows] for i in (0, 1))
     return np.where(part > 0, newer + part * (older - newer), newer)
+
+
+def _filmed(run: Run, config: TestbedConfig, stamps: Array, tilts: Array) -> Run:
+    """The run with the tilt that a camera sees, stamps (T, p), tilts (T, p, 2), if it has no potentiometers."""
+    if config.tilt_rate is None:
+        return run
+    step = run.command_stamps[1] - run.command_stamps[0]
+    pictures = slice(1, None, max(1, round(1.0 / (config.tilt_rate * step))))  # exposed within the trial
+    tilt = np.ascontiguousarray(np.swapaxes(tilts[pictures], 0, 1))
+    return replace(run, tilt_stamps=np.ascontiguousarray(stamps[pictures].T), tilt=tilt)
 
 
 def _run(out: dict[str, Array], stamps: Array, ball: Ball | None, rows: slice, time: Array, commands: Array) -> Run:

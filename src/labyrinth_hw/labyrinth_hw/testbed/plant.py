@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated rig in motion: servos, belts and board, for any number of runs at once.
+"""The emulated rig in motion: servos, belts and boards, for any number of runs at once.
 
 Semi-implicit Euler at half a millisecond on minimal coordinates, friction as a switching law, contact as play. Arrays
 are (n, 2): rows are runs, columns the axes x and y.
@@ -9,15 +9,120 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from labyrinth_hw.testbed.board import Belt, Board
-from labyrinth_hw.testbed.friction import LuGre, cogging, karnopp_step, level
-from labyrinth_hw.testbed.history import History
-from labyrinth_hw.testbed.parameters import Array
-from labyrinth_hw.testbed.servo import WARM, Firmware, Motor, position_error
+from labyrinth_hw.errors import InputError
+from labyrinth_hw.testbed.quantities import Array
+from labyrinth_hw.testbed.servo import WARM, DCMotor, Firmware, LuGre, cogging, karnopp_step, level, position_error
+
+
+class History:
+    """A ring of past values (n, 2), one every `step` seconds.
+
+    Args:
+        first: (n, 2), taken as the value since ever.
+        step: s between values.
+        span: s that can be looked back.
+    """
+
+    def __init__(self, first: Array, step: float, span: float) -> None:
+        self.step = step
+        self.length = int(np.ceil(span / step)) + 2
+        self.ring = np.repeat(first[None], self.length, axis=0)
+        self.newest = 0
+        self._rows, self._columns = np.indices(first.shape)
+
+    def push(self, value: Array) -> None:
+        """Add the value of now."""
+        self.newest = (self.newest + 1) % self.length
+        self.ring[self.newest] = value
+
+    def at(self, age: Array) -> Array:
+        """Values `age` seconds ago, (n, 2), interpolated linearly."""
+        steps = age / self.step
+        whole = np.floor(steps).astype(np.intp)
+        if whole.max() > self.length - 2:
+            raise InputError(f"A delay of {age.max():g} s exceeds the {self.step * (self.length - 2):g} s remembered.")
+        part = steps - whole
+        newer = self.ring[(self.newest - whole) % self.length, self._rows, self._columns]
+        older = self.ring[(self.newest - whole - 1) % self.length, self._rows, self._columns]
+        return newer + part * (older - newer)
+
+    def held(self, age: Array) -> Array:
+        """Values in force `age` seconds ago, (n, 2), without interpolation."""
+        whole = np.minimum(np.rint(age / self.step).astype(np.intp), self.length - 1)
+        return self.ring[(self.newest - whole) % self.length, self._rows, self._columns]
+
+
+MOUNT_DRAG = 0.4  # N m s/rad with which a slipping mount moves
+
+
+class Belt:
+    """Torque between a servo and its board axis."""
+
+    def __init__(self, q: SimpleNamespace) -> None:
+        self.slack = 0.5 * q.play
+        self.slackless = not (q.play > 0).any()
+        self.inner = np.zeros_like(q.play)
+        self.inner_limit = q.belt_hysteresis / q.belt_hysteresis_stiffness
+        self.shift = np.zeros_like(q.play)
+        self.hysteretic = bool((q.belt_hysteresis > 0).any())
+        self.loose = bool((q.mount_play > 0).any())
+        self.crossed = bool((q.cross_axis != 0).any())
+
+    def torque(
+        self, q: SimpleNamespace, servo: Array, servo_speed: Array, board: Array, speed: Array, dt: float
+    ) -> Array:
+        """Torque on the board, N m. Angles rad, speeds rad/s."""
+        pull, rate = q.ratio * (servo + self.shift), q.ratio * servo_speed
+        if self.crossed:
+            pull, rate = pull + q.cross_axis * board[:, ::-1], rate + q.cross_axis * speed[:, ::-1]
+        stretch, rate = pull - board, rate - speed
+        if self.slackless:
+            torque = q.belt_stiffness * stretch + q.belt_damping * rate
+        else:
+            beyond = stretch - np.clip(stretch, -self.slack, self.slack)
+            torque = q.belt_stiffness * beyond + np.where(np.abs(stretch) >= self.slack, q.belt_damping * rate, 0.0)
+        if self.hysteretic:
+            # Prandtl's element: a spring that slips at the limit of its inner friction.
+            self.inner = np.clip(self.inner + dt * rate, -self.inner_limit, self.inner_limit)
+            torque = torque + q.belt_hysteresis_stiffness * self.inner
+        if self.loose:
+            surplus = np.sign(torque) * np.maximum(np.abs(torque) - q.mount_friction, 0.0)
+            self.shift = np.clip(self.shift - dt * surplus / MOUNT_DRAG, -0.5 * q.mount_play, 0.5 * q.mount_play)
+        return torque
+
+    def on_board(self, q: SimpleNamespace, torque: Array) -> Array:
+        """Torque on the board axes, N m: a belt led over the other axis pulls back there."""
+        return torque - (q.cross_axis * torque)[:, ::-1] if self.crossed else torque
+
+
+class Board:
+    """What acts on the board besides the belt; forces that are nowhere at work are left out of the reckoning."""
+
+    def __init__(self, q: SimpleNamespace) -> None:
+        self.unbalanced = bool((q.gravity_moment != 0).any() or (q.gravity_height != 0).any())
+        self.sprung = bool((q.return_spring != 0).any())
+        self.lowest_stop = float(q.stop_angle.min())
+
+    def speed(self, q: SimpleNamespace, angle: Array, speed: Array, push: Array, dt: float) -> Array:
+        """Speed of the board, rad/s, one step later.
+
+        Args:
+            angle, speed: rad, rad/s.
+            push: N m of the belt and of whatever else acts.
+        """
+        torque = push
+        if self.unbalanced:
+            torque = torque - q.gravity_moment * np.cos(angle) + q.gravity_height * np.sin(angle)
+        if self.sprung:
+            torque = torque - q.return_spring * angle
+        if np.abs(angle).max() > self.lowest_stop:
+            torque = torque - q.stop_stiffness * (angle - np.clip(angle, -q.stop_angle, q.stop_angle))
+        return karnopp_step(speed, torque, q.board_inertia, q.board_friction, q.board_viscous, dt)
+
 
 DT = 0.0005
 CONTROL_EVERY = 2
-PERIOD = DT * CONTROL_EVERY
+CONTROL_PERIOD = DT * CONTROL_EVERY
 LONGEST_DELAY = 0.4
 VARYING = ("static", "load_friction", "direction_friction", "thermal_friction")
 
@@ -39,8 +144,8 @@ class Plant:
         self.board_speed = np.zeros_like(self.servo)
         self.belt, self.tilting = Belt(q), Board(q)
         self.belt_torque = np.zeros_like(self.servo)
-        self.motor = Motor(q)
-        self.firmware = Firmware(q, self.servo, PERIOD)
+        self.motor = DCMotor(q)
+        self.firmware = Firmware(q, self.servo, CONTROL_PERIOD)
         self.lugre = LuGre(q)
         self.torque_on = np.ones_like(self.servo, dtype=bool)
         self.push = np.zeros_like(self.servo)
@@ -55,12 +160,12 @@ class Plant:
         self._lags = bool((q.encoder_lag > 0).any() or (q.pot_lag > 0).any())
         self._softening = np.ones_like(self.servo)
         self._drift = np.zeros_like(self.servo)
-        self._goals = History(self.servo, PERIOD, LONGEST_DELAY)
+        self._goals = History(self.servo, CONTROL_PERIOD, LONGEST_DELAY)
         self._goal = self.servo.copy()
         measured = self.servo + q.error_reported * self._error()
-        self._encoder = History(measured, PERIOD, LONGEST_DELAY)
-        self._speeds = History(self.servo_speed, PERIOD, LONGEST_DELAY)
-        self._pots = History(self.board, PERIOD, LONGEST_DELAY)
+        self._encoder = History(measured, CONTROL_PERIOD, LONGEST_DELAY)
+        self._speeds = History(self.servo_speed, CONTROL_PERIOD, LONGEST_DELAY)
+        self._pots = History(self.board, CONTROL_PERIOD, LONGEST_DELAY)
         self._encoder_filter, self._pot_filter = measured.copy(), self.board.copy()
 
     @property
@@ -90,16 +195,6 @@ class Plant:
     def pots(self, age: Array) -> Array:
         """Board angle (rad) as the potentiometers see it, `age` (n, 2) s ago."""
         return self._pots.at(age + self.q.pot_delay)
-
-    def energy(self) -> Array:
-        """Mechanical energy of motion and belt stretch, J, (n,)."""
-        q = self.q
-        beyond = q.ratio * self.servo - self.board
-        beyond = beyond - np.clip(beyond, -self.belt.slack, self.belt.slack)
-        parts = (
-            q.rotor_inertia * self.servo_speed**2 + q.board_inertia * self.board_speed**2 + q.belt_stiffness * beyond**2
-        )
-        return np.asarray(0.5 * parts.sum(axis=1))
 
     def _measured(self) -> Array:
         if not (self._errs or self._warms):
@@ -143,7 +238,7 @@ class Plant:
 
     def _remember(self) -> None:
         q = self.q
-        self.motor.warm(q, PERIOD)
+        self.motor.warm(q, CONTROL_PERIOD)
         if self._warms:
             warmed = q.thermal_warmup * -np.expm1(-(self.age[:, None] + self.time) / q.thermal_time)
             rise = warmed + np.maximum(self.motor.temperature - WARM - 5.0, 0.0)
@@ -153,9 +248,9 @@ class Plant:
         encoder, pot = self.servo + self.q.error_reported * self._error() + self._drift, self.board
         if self._lags:
             self._encoder_filter += (encoder - self._encoder_filter) * -np.expm1(
-                -PERIOD / np.maximum(q.encoder_lag, 1e-9)
+                -CONTROL_PERIOD / np.maximum(q.encoder_lag, 1e-9)
             )
-            self._pot_filter += (pot - self._pot_filter) * -np.expm1(-PERIOD / np.maximum(q.pot_lag, 1e-9))
+            self._pot_filter += (pot - self._pot_filter) * -np.expm1(-CONTROL_PERIOD / np.maximum(q.pot_lag, 1e-9))
             encoder, pot = self._encoder_filter, self._pot_filter
         self._encoder.push(encoder)
         self._speeds.push(self.servo_speed)

@@ -1,11 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo's firmware and its DC motor, seen at the output shaft. Arrays are (n, 2): runs by axes."""
+"""The servo's firmware, its DC motor and its friction, seen at the output shaft. Arrays are (n, 2): runs by axes.
+
+Friction: Karnopp 1985 (stick inside a band of speed, where friction equals what is applied); Canudas de Wit, Olsson,
+Astrom and Lischinsky 1995 (LuGre's bristles).
+"""
 
 from types import SimpleNamespace
 
 import numpy as np
 
-from labyrinth_hw.testbed.parameters import Array
+from labyrinth_hw.testbed.quantities import Array
+
+TURN = 2 * np.pi
+
+
+def level(q: SimpleNamespace, speed: Array, load: Array, softening: Array) -> Array:
+    """Sliding friction torque, N m, at this speed and transmitted torque, before its sign.
+
+    Args:
+        q: quantities.
+        speed: rad/s.
+        load: N m carried by the gear: what the motor drives against what the belt holds back.
+        softening: share of friction left after warming, 1 when cold.
+    """
+    dry = q.coulomb + q.static * np.exp(-np.square(speed / q.stribeck_speed)) + q.load_friction * np.abs(load)
+    return dry * softening * (1.0 + q.direction_friction * np.sign(speed))
+
+
+def karnopp_step(speed: Array, torque: Array, inertia: Array, dry: Array, viscous: Array, dt: float) -> Array:
+    """Speed after one step under dry friction that can hold but never push.
+
+    The change of speed that friction may cause in a step is dry*dt/inertia; it brings the body to rest at most.
+    """
+    free = speed + dt * (torque - viscous * speed) / inertia
+    return np.sign(free) * np.maximum(np.abs(free) - dt * dry / inertia, 0.0)
+
+
+class LuGre:
+    """Bristle deflection of the runs whose friction is LuGre's; the others are left alone."""
+
+    def __init__(self, q: SimpleNamespace) -> None:
+        self.active = q.bristle > 0
+        self.any = bool(self.active.any())
+        self.deflection = np.zeros_like(q.bristle)
+
+    def torque(self, q: SimpleNamespace, speed: Array, dry: Array, dt: float) -> Array:
+        """Friction torque against the motion, N m: s0 z + s1 dz/dt, dz/dt = v - s0 |v| z / g(v)."""
+        # Integrated exactly for constant speed over the step, so that stiff bristles stay stable.
+        g = np.maximum(dry, 1e-9)
+        rate = q.bristle * np.abs(speed) / g
+        before = self.deflection
+        settled = g * np.sign(speed) / np.where(self.active, q.bristle, 1.0)
+        after = settled + (before - settled) * np.exp(-rate * dt)
+        self.deflection = np.where(self.active, after, 0.0)
+        return np.where(self.active, q.bristle * after + q.bristle_damping * (after - before) / dt, 0.0)
+
+
+def cogging(q: SimpleNamespace, angle: Array) -> Array:
+    """Cogging torque, N m, at this servo angle (rad)."""
+    return q.cogging * np.sin(q.cogging_count * angle + q.cogging_phase)
+
 
 COPPER = 0.0039  # relative growth of resistance per kelvin
 MAGNET = 0.0012  # relative loss of flux per kelvin
@@ -33,7 +87,10 @@ class Firmware:
         self.goal = start.copy()
         self.integral = np.zeros_like(q.p)
         self.error = np.zeros_like(q.p)
-        self.as_duty = q.firmware > 0.5
+        self.as_duty = np.isclose(q.firmware, 1.0)
+        self.by_law = np.isclose(q.firmware, 2.0)
+        self.asked = np.full_like(q.p, np.nan)  # N m, of servos in current mode whose computer is a real one
+        self._held, self._due = np.zeros_like(q.p), np.zeros_like(q.p)
         self.limited = q.command_rate > 0
         self.ticking = bool((q.control_tick > 0).any() or (q.command_tick > 0).any())
 
@@ -56,12 +113,19 @@ class Firmware:
         change, self.error = error - self.error, error
         velocity = q.p * error + q.i * self.integral + q.d * change * (SAMPLE / self.period)
         torque = q.velocity_gain * (velocity - speed)
+        if self.by_law.any():
+            self._due -= self.period
+            again = self._due < 0.5 * self.period
+            self._held = np.where(again, q.stiffness * error - q.law_damping * speed, self._held)
+            self._due = np.where(again, q.law_period, self._due)
+            torque = np.where(self.by_law, self._held, torque)
+        torque = np.where(np.isfinite(self.asked), self.asked, torque)
         follow = (torque / q.kt * q.resistance + q.ke * speed) / supply
         direct = q.duty_gain * error + q.punch * np.sign(error)
         self.duty = np.clip(np.where(self.as_duty, direct, follow), -q.duty_limit, q.duty_limit)
 
 
-class Motor:
+class DCMotor:
     """A brushed DC motor behind a gear: V = R i + ke w, with sagging supply and a warming winding."""
 
     def __init__(self, q: SimpleNamespace) -> None:

@@ -1,15 +1,127 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servos that answer instruction packets from their control tables, protocol 1.0 and 2.0."""
+"""Servos that answer Dynamixel packets from their control tables, protocol 1.0 and 2.0.
+
+Written from the protocol's description (e-manual), apart from the SDK, so that the two check each other.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from labyrinth_hw.registers import Register, ServoModel
-from labyrinth_hw.testbed import packets
-from labyrinth_hw.testbed.packets import BROADCAST, Instruction
+from labyrinth_hw.control_tables import Register, ServoModel
+
+BROADCAST = 0xFE
+PING, READ, WRITE, REG_WRITE, ACTION, REBOOT = 1, 2, 3, 4, 5, 8
+STATUS, SYNC_READ, SYNC_WRITE, BULK_READ, BULK_WRITE = 0x55, 0x82, 0x83, 0x92, 0x93
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One instruction packet.
+
+    Attributes:
+        id: addressed servo, or BROADCAST.
+        code: instruction.
+        parameters: bytes after the instruction.
+        intact: whether its checksum was right.
+    """
+
+    id: int
+    code: int
+    parameters: bytes
+    intact: bool = True
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        value = byte << 8
+        for _ in range(8):
+            value = (value << 1) ^ 0x8005 if value & 0x8000 else value << 1
+        table.append(value & 0xFFFF)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 with polynomial 0x8005, start 0 (protocol 2.0)."""
+    value = 0
+    for byte in data:
+        value = ((value << 8) & 0xFFFF) ^ _CRC[(value >> 8) ^ byte]
+    return value
+
+
+def status_packet(protocol: int, servo: int, error: int, parameters: bytes = b"") -> bytes:
+    """A status packet."""
+    if protocol == 1:
+        body = bytes((servo, len(parameters) + 2, error)) + parameters
+        return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+    stuffed = (bytes((STATUS, error)) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    head = b"\xff\xff\xfd\x00" + bytes((servo,)) + (len(stuffed) + 2).to_bytes(2, "little") + stuffed
+    return head + crc16(head).to_bytes(2, "little")
+
+
+class InstructionStream:
+    """Collects bytes and cuts instruction packets out of them."""
+
+    def __init__(self, protocol: int) -> None:
+        self.protocol = protocol
+        self.buffer = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[Instruction]:
+        """Add bytes; yields every packet that is complete, damaged ones marked as not intact."""
+        self.buffer += data
+        cut = self._cut_1 if self.protocol == 1 else self._cut_2
+        while (packet := cut()) is not None:
+            yield packet
+
+    def _align(self, header: bytes) -> bool:
+        at = self.buffer.find(header)
+        if at < 0:
+            del self.buffer[: max(0, len(self.buffer) - len(header) + 1)]
+            return False
+        del self.buffer[:at]
+        return True
+
+    def _cut_1(self) -> Instruction | None:
+        while self._align(b"\xff\xff"):
+            if len(self.buffer) < 4:
+                return None
+            length = self.buffer[3]
+            if self.buffer[2] == 0xFF or length < 2:
+                del self.buffer[:1]
+                continue
+            if len(self.buffer) < 4 + length:
+                return None
+            packet = bytes(self.buffer[: 4 + length])
+            intact = ~sum(packet[2:-1]) & 0xFF == packet[-1]
+            # A damaged length must not swallow the packets that follow, so only the header of a damaged one goes.
+            del self.buffer[: 4 + length if intact else 2]
+            return Instruction(packet[2], packet[4], packet[5:-1], intact)
+        return None
+
+    def _cut_2(self) -> Instruction | None:
+        while self._align(b"\xff\xff\xfd"):
+            if len(self.buffer) < 7:
+                return None
+            length = int.from_bytes(self.buffer[5:7], "little")
+            if self.buffer[3] != 0 or not 3 <= length <= 1024:
+                del self.buffer[:1]
+                continue
+            if len(self.buffer) < 7 + length:
+                return None
+            packet = bytes(self.buffer[: 7 + length])
+            intact = crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
+            del self.buffer[: 7 + length if intact else 3]
+            body = packet[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+            return Instruction(packet[4], body[0], body[1:], intact)
+        return None
+
 
 E1_RANGE, E1_CHECKSUM, E1_INSTRUCTION = 0x08, 0x10, 0x40
-E2_INSTRUCTION, E2_CRC, E2_RANGE, E2_LENGTH, E2_ACCESS, E2_ALERT = 2, 3, 4, 5, 7, 0x80
+E2_INSTRUCTION, E2_CRC, E2_RANGE, E2_ACCESS, E2_ALERT = 2, 3, 4, 7, 0x80
+CURRENT_MODE = 0
 FIRED = 0xFF  # what the watchdog's register holds once it has stopped the motor
 
 
@@ -33,7 +145,6 @@ class EmulatedServo:
         self.model = model
         self.memory = bytearray(256)
         self.alarm = 0
-        self.refused_torque = False
         self._pending: tuple[int, bytes] | None = None
         self._goals = [register for name, register in model.registers.items() if name.startswith("goal_")]
         self.power_up()
@@ -74,6 +185,11 @@ class EmulatedServo:
         """Whether the motor is driven."""
         return bool(self.raw("torque_enable"))
 
+    @property
+    def follows_current(self) -> bool:
+        """Whether its EEPROM says that it follows currents."""
+        return "goal_current" in self.model.registers and self.raw("operating_mode") == CURRENT_MODE
+
     def raise_alarm(self, bits: int) -> None:
         """Set hardware error bits; those in the shutdown register switch torque off until power-up or reset."""
         self.alarm |= bits
@@ -96,6 +212,8 @@ class EmulatedServo:
         if 0 < allowed < 0x80 and silence > self.get("bus_watchdog"):
             self._store(self.model.register("bus_watchdog"), FIRED)
             self._store(self.model.register("goal_position"), self.raw("present_position"))
+            if self.follows_current:
+                self.set("goal_current", 0.0)
 
     def read(self, address: int, size: int) -> bytes:
         """Bytes of the control table."""
@@ -122,7 +240,7 @@ class EmulatedServo:
         """A status packet with the error of this instruction and the alarm bits."""
         flags = error | self.alarm if self.model.protocol == 1 else error | (E2_ALERT if self.alarm else 0)
         delay = self.get("return_delay")
-        return Answer(packets.status(self.model.protocol, self.id, flags, parameters), delay)
+        return Answer(status_packet(self.model.protocol, self.id, flags, parameters), delay)
 
 
 class EmulatedBus:
@@ -135,7 +253,7 @@ class EmulatedBus:
     def __init__(self, servos: list[EmulatedServo]) -> None:
         self.servos = servos
         self.protocol = servos[0].model.protocol
-        self.stream = packets.Stream(self.protocol)
+        self.stream = InstructionStream(self.protocol)
         self.received = 0
 
     def feed(self, data: bytes) -> Iterator[Answer]:
@@ -150,16 +268,16 @@ class EmulatedBus:
         if not instruction.intact:
             if instruction.id in by_id:
                 yield by_id[instruction.id].status(E1_CHECKSUM if self.protocol == 1 else E2_CRC)
-        elif code == packets.SYNC_WRITE:
+        elif code == SYNC_WRITE:
             self._sync_write(by_id, parameters)
-        elif code == packets.SYNC_READ and self.protocol == 2:
+        elif code == SYNC_READ and self.protocol == 2:
             start, size = int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")
             yield from self._reads(by_id, [(servo, start, size) for servo in parameters[4:]])
-        elif code == packets.BULK_READ:
+        elif code == BULK_READ:
             yield from self._reads(by_id, self._bulk(parameters))
-        elif code == packets.BULK_WRITE and self.protocol == 2:
+        elif code == BULK_WRITE and self.protocol == 2:
             self._bulk_write(by_id, parameters)
-        elif code == packets.ACTION:
+        elif code == ACTION:
             for servo in self.servos:
                 if servo._pending is not None:
                     servo.write(*servo._pending)
@@ -168,30 +286,28 @@ class EmulatedBus:
             for servo in self.servos:
                 if instruction.id in (servo.id, BROADCAST):
                     answer = self._single(servo, code, parameters)
-                    if answer is not None and (
-                        instruction.id != BROADCAST or (code == packets.PING and self.protocol == 2)
-                    ):
+                    if answer is not None and (instruction.id != BROADCAST or (code == PING and self.protocol == 2)):
                         yield answer
 
     def _single(self, servo: EmulatedServo, code: int, parameters: bytes) -> Answer | None:
         level = servo.raw("status_return_level")
         wide = 2 if self.protocol == 2 else 1
-        if code == packets.PING:
+        if code == PING:
             model = servo.read(0, 2) + bytes((servo.raw("firmware_version"),))
             return servo.status(0, model if self.protocol == 2 else b"")
-        if code == packets.READ:
+        if code == READ:
             size = int.from_bytes(parameters[wide:], "little")
             return (
                 servo.status(0, servo.read(int.from_bytes(parameters[:wide], "little"), size)) if level >= 1 else None
             )
-        if code in (packets.WRITE, packets.REG_WRITE):
+        if code in (WRITE, REG_WRITE):
             address, data = int.from_bytes(parameters[:wide], "little"), parameters[wide:]
-            if code == packets.REG_WRITE:
+            if code == REG_WRITE:
                 servo._pending, error = (address, data), 0
             else:
                 error = servo.write(address, data)
             return servo.status(error) if level >= 2 else None
-        if code == packets.REBOOT and self.protocol == 2:
+        if code == REBOOT and self.protocol == 2:
             servo.clear_alarm()
             servo.set("torque_enable", 0)
             return servo.status(0) if level >= 2 else None

@@ -1,227 +1,184 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of the emulated rig with known truth, as its camera would take them.
+"""The emulated camera: a process of its own draws, so that drawing never holds up the serial lines.
 
-Drawn at twice the resolution through a pinhole, averaged down, then bent by the lens. The ball is ray-cast: a mirror of
-the room above it and the board around it. Nothing here is shared with the tracker that has to find the ball again.
+The pictures go out as motion JPEG over HTTP, as network cameras send them.
 """
 
+import multiprocessing
+import signal
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from multiprocessing.connection import Connection
+
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
-from labyrinth_hw.testbed.video_floor import FLOOR, Floor, Frame
-from labyrinth_hw.testbed.video_scene import Array, Layout, Lens, Lighting, Scene, turn_x, turn_y
+from labyrinth_hw.errors import InputError
+from labyrinth_hw.testbed.renderer import Frame, Renderer
+from labyrinth_hw.testbed.scene import Scene, load_layout
 
-FINE = 2  # drawn pixels per picture pixel
-SHIFT = 6  # fractional bits of polygon corners
-WALL, RIM, BOX = (138, 182, 214), (78, 122, 164), (62, 100, 142)
-INSIDE, TABLE, DOT = (34, 40, 46), (92, 92, 90), (168, 78, 22)  # BGR
+BOUNDARY = "frame"
 
 
-class Renderer:
-    """Renders scenes of one layout through one lens in one light. Noise follows `seed`."""
+class VideoStream:
+    """Serves the newest pushed frame to any number of viewers at `url`.
+
+    A viewer slower than the source misses frames; it never slows the source. Closing it is what a camera unplugged
+    looks like; a new one on the same `port` is the camera plugged in again.
+
+    Args:
+        port: 0 takes a free one. host: this machine only by default.
+        quality: of the JPEG pictures, 1 to 100.
+    """
+
+    def __init__(self, port: int = 0, host: str = "127.0.0.1", quality: int = 95) -> None:
+        self._quality = quality
+        self._news = threading.Condition()
+        self._jpeg, self._number, self._over = b"", 0, False
+        stream = self
+
+        class Viewer(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                stream._serve(self)
+
+            def log_message(self, format: str, *args: object) -> None:
+                pass
+
+        try:
+            self._server = ThreadingHTTPServer((host, port), Viewer)
+        except OSError as error:
+            raise InputError(f"Cannot serve video on {host}:{port}: {error}. Give another port, or 0.") from error
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        return int(self._server.server_address[1])
+
+    @property
+    def url(self) -> str:
+        """What to give to a camera as its source."""
+        return f"http://{self._server.server_address[0]!s}:{self.port}/video.mjpg"
+
+    def push(self, frame: Frame) -> None:
+        """Shows (height, width, 3) BGR to all viewers."""
+        ok, jpeg = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
+        if not ok:
+            raise InputError(f"A frame of shape {frame.shape} and type {frame.dtype} is no picture.")
+        with self._news:
+            self._jpeg, self._number = jpeg.tobytes(), self._number + 1
+            self._news.notify_all()
+
+    def close(self) -> None:
+        """Ends all connections and frees the port."""
+        with self._news:
+            self._over = True
+            self._news.notify_all()
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join(timeout=5.0)
+
+    def __enter__(self) -> "VideoStream":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _serve(self, viewer: BaseHTTPRequestHandler) -> None:
+        viewer.send_response(200)
+        viewer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+        viewer.send_header("Cache-Control", "no-store")
+        viewer.end_headers()
+        shown = 0
+        try:
+            while True:
+                with self._news:
+                    while not self._over and self._number == shown:
+                        self._news.wait()
+                    if self._over:
+                        return
+                    jpeg, shown = self._jpeg, self._number
+                head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                viewer.wfile.write(head.encode() + jpeg + b"\r\n")
+        except (BrokenPipeError, ConnectionResetError):
+            return
+
+
+def _serve(scenes: Connection, layout: str, port: int, seed: int, marble: tuple[int, int, int] | None) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        stream = VideoStream(port)
+    except InputError as error:
+        scenes.send(str(error))
+        return
+    scenes.send(stream.url.encode())
+    renderer = Renderer(load_layout(layout), seed=seed, marble=marble)
+    port, plugged = stream.port, True
+    try:
+        while True:
+            order = scenes.recv()
+            while isinstance(order, Scene) and scenes.poll():
+                order = scenes.recv()
+            if isinstance(order, Scene) and plugged:
+                stream.push(renderer.render(order))
+            elif order is False and plugged:
+                stream.close()
+                plugged = False
+            elif order is True and not plugged:
+                stream, plugged = VideoStream(port), True
+    except (EOFError, OSError):
+        stream.close()
+
+
+class VideoProcess:
+    """Draws the scenes it is shown and streams them; scenes that come faster than it draws are skipped.
+
+    Args:
+        layout: of the board.
+        port: TCP port on this machine; 0 takes a free one.
+        rate: pictures per second at most.
+        seed: of the pictures' noise.
+        marble: BGR colour of a painted marble; None for a steel ball.
+
+    Raises:
+        InputError: the port is taken.
+    """
 
     def __init__(
-        self, layout: Layout, lens: Lens | None = None, lighting: Lighting | None = None, seed: int = 0
+        self, layout: str, port: int, rate: float, seed: int, marble: tuple[int, int, int] | None = None
     ) -> None:
-        self.layout, self.lens, self.lighting = layout, lens or Lens.at_height(0.25), lighting or Lighting()
-        self._rng = np.random.default_rng(seed)
-        self._noise = self._rng.standard_normal((720, 1280, 3)).astype(np.float32)
-        bent = any(self.lens.distortion)
-        self._margin = 60 if bent else 0  # what a barrel lens sees beyond the pinhole's picture
-        width, height = (n + 2 * self._margin for n in self.lens.size)
-        self._canvas = (width * FINE, height * FINE)
-        focal = self.lens.focal * FINE
-        centre = (np.array(self._canvas) - 1) / 2
-        self._pinhole = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
-        self._bend = self._bend_map() if bent else None
-        level_view = np.diag([1.0, -1.0, -1.0])  # x right, y down, z away from the camera
-        self._turn = cv2.Rodrigues(np.array(self.lens.turn))[0] @ level_view
-        self._centre = np.array([*layout.board, 0.0]) / 2
-        self._eye = self._centre + np.array(self.lens.position)
-        lamp = np.array(self.lighting.lamp)
-        self._lamp = lamp / np.linalg.norm(lamp)
-        self._floor = Floor(layout, self.lighting, self.lens.position[2], self._rng)
-        self._field = self._draw_field()
-        self._solids = np.array([*layout.walls, *layout.rim()])
+        context = multiprocessing.get_context("spawn")
+        self._scenes, other = context.Pipe()
+        self._process = context.Process(target=_serve, args=(other, layout, port, seed, marble), daemon=True)
+        self._process.start()
+        other.close()
+        answer = self._scenes.recv() if self._scenes.poll(30.0) else "The video process did not start in 30 s."
+        if isinstance(answer, str):
+            self.close()
+            raise InputError(answer)
+        self.url = answer.decode()
+        self._period, self._due = 1.0 / rate, 0.0
 
-    # -- the fixed parts, drawn once ----------------------------------------------------------------------------------
+    def due(self) -> bool:
+        """Whether it is time for the next picture."""
+        return time.monotonic() >= self._due
 
-    def _draw_field(self) -> NDArray[np.float32]:
-        """Light that multiplies the picture."""
-        width, height = self.lens.size
-        x, y = np.meshgrid(np.linspace(-0.5, 0.5, width), np.linspace(0.5, -0.5, height))
-        light = self.lighting
-        vignette = 1 - 0.25 * (x**2 + y**2)
-        field = light.level * (1 + light.gradient[0] * x + light.gradient[1] * y) * vignette
-        tint = np.array([1 - light.warmth, 1 - light.warmth / 3, 1 + light.warmth / 4])
-        return (field[..., None] * tint).astype(np.float32)
+    def show(self, scene: Scene) -> None:
+        """Draw a scene."""
+        self._due = time.monotonic() + self._period
+        try:
+            self._scenes.send(scene)
+        except OSError:
+            self._due = float("inf")
 
-    def _bend_map(self) -> NDArray[np.float32]:
-        width, height = self.lens.size
-        focal, centre = self.lens.focal, ((width - 1) / 2, (height - 1) / 2)
-        matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
-        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 1, 2).astype(np.float64)
-        straight = cv2.undistortPoints(grid, matrix, np.array(self.lens.distortion), P=matrix)
-        return (straight.reshape(height, width, 2) + self._margin).astype(np.float32)
+    def plug(self, plugged: bool) -> None:
+        """Let the camera vanish, or come back at the same address."""
+        self._scenes.send(plugged)
 
-    # -- one frame ----------------------------------------------------------------------------------------------------
-
-    def board_pose(self, tilt: tuple[float, float]) -> tuple[Array, Array]:
-        """Rotation (3, 3) and translation (3,) m that take board points into the camera frame."""
-        board = turn_x(tilt[0]) @ turn_y(tilt[1])
-        return self._turn @ board, self._turn @ (self._centre - board @ self._centre - self._eye)
-
-    def render(self, scene: Scene) -> Frame:
-        """The picture (height, width, 3), BGR."""
-        if scene.lens_covered:
-            return self._expose(np.full((self.lens.size[1], self.lens.size[0], 3), 3, np.uint8), scene, lit=False)
-        rotation, translation = self.board_pose(scene.tilt)
-        canvas = np.empty((self._canvas[1], self._canvas[0], 3), np.uint8)
-        canvas[:] = TABLE
-        self._draw_box(canvas, scene.tilt)
-        self._draw_board(canvas, rotation, translation, scene)
-        picture = cv2.resize(canvas, None, fx=1 / FINE, fy=1 / FINE, interpolation=cv2.INTER_AREA)
-        if self._bend is not None:
-            picture = cv2.remap(picture, self._bend, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        return self._expose(picture, scene)
-
-    def _project(self, points: Array) -> Array:
-        """(n, 3) m in the camera frame -> (n, 2) canvas px."""
-        image = points @ self._pinhole.T
-        return image[:, :2] / image[:, 2:]
-
-    def _fill(self, canvas: Frame, corners: Array, colour: tuple[float, ...]) -> None:
-        cv2.fillConvexPoly(canvas, np.round(corners * 2**SHIFT).astype(np.int32), colour, cv2.LINE_8, SHIFT)
-
-    def _draw_box(self, canvas: Frame, tilt: tuple[float, float]) -> None:
-        frame = turn_x(tilt[0])
-        rings: list[tuple[float, tuple[int, int, int], Array]] = [
-            (0.0305, BOX, np.eye(3)), (0.0185, INSIDE, np.eye(3)), (0.017, RIM, frame), (0.010, INSIDE, frame)
-        ]  # fmt: skip
-        for beyond, colour, turn in rings:
-            size = (self.layout.board[0] + 2 * beyond, self.layout.board[1] + 2 * beyond)
-            corners = (self.layout.dots(size) - self._centre) @ turn.T + self._centre - self._eye
-            self._fill(canvas, self._project(corners @ self._turn.T), colour)
-        self._draw_dots(canvas, self.layout.outer_dots, self._turn, -self._turn @ self._eye)
-
-    def _draw_dots(self, canvas: Frame, size: tuple[float, float], rotation: Array, translation: Array) -> None:
-        angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)
-        circle = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]) * self.layout.dot_diameter / 2
-        for dot in self.layout.dots(size):
-            self._fill(canvas, self._project((circle + dot) @ rotation.T + translation), DOT)
-
-    def _draw_board(self, canvas: Frame, rotation: Array, translation: Array, scene: Scene) -> None:
-        floor = self._floor.lit(scene)
-        columns = np.column_stack([rotation[:, 0], rotation[:, 1], translation])
-        warp = self._pinhole @ columns @ self._floor.metres
-        cv2.warpPerspective(floor, warp, self._canvas, canvas, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
-        eye = rotation.T @ -translation  # camera in the board frame
-        boxes = self._solids
-        nearest = np.clip(eye[:2], boxes[:, :2], boxes[:, 2:])
-        order = np.argsort(-np.linalg.norm(nearest - eye[:2], axis=1))
-        corners = _corners(boxes, self.layout.wall_height)  # (n, 8, 3)
-        flat = self._project(corners.reshape(-1, 3) @ rotation.T + translation).reshape(-1, 8, 2)
-        behind = np.ones(len(boxes), bool) if scene.ball is None else _behind(boxes, np.array(scene.ball), eye)
-        for index in order[behind[order]]:
-            self._draw_solid(canvas, boxes[index], flat[index], eye, index >= len(self.layout.walls))
-        self._draw_dots(canvas, self.layout.inner_dots, rotation, translation)
-        if scene.ball is not None:
-            self._draw_ball(canvas, rotation, translation, scene)
-            for index in order[~behind[order]]:
-                self._draw_solid(canvas, boxes[index], flat[index], eye, index >= len(self.layout.walls))
-            if not behind.all():
-                self._draw_dots(canvas, self.layout.inner_dots, rotation, translation)
-
-    def _draw_solid(self, canvas: Frame, box: Array, flat: Array, eye: Array, rim: bool) -> None:
-        colour = np.array(RIM if rim else WALL, np.float64)
-        x0, y0, x1, y1 = box
-        sides = (
-            ((0, 1, 5, 4), eye[1] < y0, -self._lamp[1]), ((2, 3, 7, 6), eye[1] > y1, self._lamp[1]),
-            ((3, 0, 4, 7), eye[0] < x0, -self._lamp[0]), ((1, 2, 6, 5), eye[0] > x1, self._lamp[0]),
-        )  # fmt: skip
-        for corners, seen, towards in sides:
-            if seen:
-                self._fill(canvas, flat[list(corners)], tuple(colour * (0.68 + 0.3 * towards)))
-        self._fill(canvas, flat[4:], tuple(colour))
-
-    def _draw_ball(self, canvas: Frame, rotation: Array, translation: Array, scene: Scene) -> None:
-        assert scene.ball is not None
-        radius = self.layout.ball_radius
-        smear = np.hypot(*scene.velocity) * scene.exposure * self._pinhole[0, 0] / max(self.lens.position[2], 0.05)
-        steps = int(np.clip(np.ceil(smear), 1, 8))
-        times = (np.arange(steps) + 0.5) / steps - 0.5
-        moved = np.array(scene.ball) + times[:, None] * np.array(scene.velocity) * scene.exposure
-        centres = np.column_stack([moved, np.full(steps, radius)]) @ rotation.T + translation
-        at = self._project(centres)
-        reach = 1.6 * self._pinhole[0, 0] * radius / centres[:, 2].min() + 3
-        x0, y0 = np.maximum(np.floor(at.min(0) - reach), 0).astype(int)
-        x1, y1 = np.minimum(np.ceil(at.max(0) + reach), self._canvas).astype(int)
-        if x1 <= x0 or y1 <= y0:
-            return
-        u, v = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
-        rays = np.stack([u - self._pinhole[0, 2], v - self._pinhole[1, 2], np.full(u.shape, self._pinhole[0, 0])], -1)
-        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-        paint, cover = np.zeros((*u.shape, 3)), np.zeros((*u.shape, 1))
-        for centre in centres:
-            colour, alpha = self._ball_colour(rays, centre, rotation)
-            paint += colour * alpha / steps
-            cover += alpha / steps
-        patch = canvas[y0:y1, x0:x1]
-        patch[:] = np.clip(patch * (1 - cover) + paint, 0, 255).astype(np.uint8)
-
-    def _ball_colour(self, rays: Array, centre: Array, rotation: Array) -> tuple[Array, Array]:
-        """What a steel mirror sphere shows along each ray (h, w, 3), and how much of the pixel it covers (h, w, 1)."""
-        radius = self.layout.ball_radius
-        along = rays @ centre
-        miss = np.sqrt(np.maximum(centre @ centre - along**2, 0))  # distance of the ray from the centre
-        per_pixel = centre[2] / self._pinhole[0, 0]
-        alpha = np.clip(0.5 + (radius - miss) / per_pixel, 0, 1)[..., None]
-        depth = along - np.sqrt(np.maximum(radius**2 - miss**2, 0))
-        normal = (rays * depth[..., None] - centre) / radius
-        mirrored = (rays - 2 * np.sum(rays * normal, -1, keepdims=True) * normal) @ self._turn  # box frame
-        to_eye = -(centre @ self._turn) / np.linalg.norm(centre)
-        light = self.lighting
-        up = mirrored @ (self._turn.T @ rotation[:, 2])  # above the board's own plane or below
-        room = 150 + 75 * np.clip(up, 0, 1)
-        room *= 1 + light.room_gradient[0] * mirrored[..., 0] + light.room_gradient[1] * mirrored[..., 1]
-        room *= 1 - 0.35 / (1 + np.exp(-(mirrored @ to_eye - 0.97) / 0.006))  # the camera's own mirror image
-        lamp = 500 * light.lamp_strength * np.exp((mirrored @ self._lamp - 1) * 60)
-        board = np.array(FLOOR) * np.clip(0.75 + 0.9 * up, 0.15, 0.75)[..., None]
-        sky = np.clip((up + 0.05) / 0.15, 0, 1)[..., None]
-        return 0.85 * (sky * (room + lamp)[..., None] + (1 - sky) * board), alpha
-
-    def _expose(self, picture: Frame, scene: Scene, lit: bool = True) -> Frame:
-        light, lens = self.lighting, self.lens
-        values = picture.astype(np.float32)
-        if lit:
-            values *= self._field
-        for x, y, width, height in scene.covers:
-            values[max(y, 0) : max(y + height, 0), max(x, 0) : max(x + width, 0)] = (60, 75, 110)
-        if light.blur > 0:
-            values = cv2.GaussianBlur(values, (0, 0), light.blur)
-        if light.noise > 0:
-            width, height = lens.size
-            x, y = (int(self._rng.integers(0, limit + 1)) for limit in (1280 - width, 720 - height))
-            spread = cv2.sqrt(np.maximum(values, 0) / 128 + 1) * light.noise
-            values += spread * self._noise[y : y + height, x : x + width]
-        return np.clip(values + 0.5, 0, 255).astype(np.uint8)
-
-
-def _corners(boxes: Array, height: float) -> Array:
-    """(n, 8, 3): the four corners at the foot, counter-clockwise, then the four on top."""
-    x0, y0, x1, y1 = boxes.T
-    foot = np.stack([np.stack(pair, -1) for pair in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], 1)
-    low = np.concatenate([foot, np.zeros((len(boxes), 4, 1))], -1)
-    high = np.concatenate([foot, np.full((len(boxes), 4, 1), height)], -1)
-    return np.concatenate([low, high], 1)
-
-
-def _behind(boxes: Array, ball: Array, eye: Array) -> NDArray[np.bool_]:
-    """Which boxes the ball may hide: the plane that parts box and ball has the camera on the ball's side."""
-    low, high = boxes[:, :2], boxes[:, 2:]
-    gap_above, gap_below = ball - high, low - ball  # (n, 2): the ball lies beyond a face where positive
-    gaps = np.concatenate([gap_above, gap_below], 1)
-    face = np.argmax(gaps, 1)
-    camera = np.concatenate([eye[:2] - high, low - eye[:2]], 1)
-    return camera[np.arange(len(boxes)), face] > 0
+    def close(self) -> None:
+        """End the process."""
+        self._scenes.close()
+        self._process.join(timeout=3.0)
+        if self._process.is_alive():
+            self._process.terminate()

@@ -5,43 +5,35 @@ Two MuJoCo actuators do it natively: a position servo whose force range is the t
 which the limit on the duty does not touch.
 """
 
+from collections.abc import Mapping
+
 import mujoco
-import numpy as np
 
 from labyrinth_sim.effect import Drive, Parameter, Values
-from labyrinth_sim.live import Fields, Live
-from labyrinth_sim.servo import GOAL_TICK, limit_torque, scale_torque, set_torque, target
+from labyrinth_sim.live import Fields
+from labyrinth_sim.servo import FEEDBACK_TICK, GOAL_TICK, add_back_emf, limit_torque, set_back_emf, set_torque, target
 from labyrinth_sim.site import Site
-from labyrinth_sim.trials import Array
 
 
 def spec(spec: mujoco.MjSpec, site: Site) -> None:
-    axis = site.the_axis
-    servo = spec.actuator(axis.actuator)
+    servo = spec.actuator(site.the_axis.actuator)
     servo.set_to_position(kp=1.0)
     limit_torque(servo)
-    emf = spec.add_actuator(
-        name=f"{axis.actuator}_emf", target=axis.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, group=site.group
-    )
-    emf.set_to_velocity(kv=1.0)
-    emf.gainprm[0] = 0.0
+    add_back_emf(spec, site)
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
     stall = values["torque_constant"] * values["voltage"] / values["resistance"]
     stiffness = stall * values["kp"] * values["duty_gain"]
-    servo, emf = site.actuator, next(i for i in site.actuators if i != site.actuator)
-    fields["actuator_gainprm"][:, servo, 0] = stiffness
-    fields["actuator_biasprm"][:, servo, 1] = -stiffness
+    fields["actuator_gainprm"][:, site.actuator, 0] = stiffness
+    fields["actuator_biasprm"][:, site.actuator, 1] = -stiffness
+    fields["actuator_biasprm"][:, site.actuator, 2] = stiffness * values["feedback_delay"]
     set_torque(fields, site, stall)
-    fields["actuator_biasprm"][:, emf, 2] = -(values["torque_constant"] ** 2) / values["resistance"]
+    set_back_emf(fields, site, values["torque_constant"] ** 2 / values["resistance"])
 
 
-def supply(live: Live, site: Site, factor: Array, speed: Array) -> None:
-    """Less voltage; back-EMF is in the actuator already."""
-    live["actuator_gainprm"][:, site.actuator, 0] *= factor
-    live["actuator_biasprm"][:, site.actuator, 1] *= factor
-    scale_torque(live, site, factor, np.zeros_like(speed))
+def full(values: Mapping[str, float]) -> float:
+    return values["torque_constant"] * values["voltage"] / values["resistance"]
 
 
 DRIVE = Drive(
@@ -49,12 +41,20 @@ DRIVE = Drive(
     title="Position servo by duty cycle, with a DC motor",
     physics="The duty cycle is proportional to the error up to full duty; the motor's torque is what supply "
     "voltage less "
-    "back-EMF drives through its resistance.",
-    equation="duty = clip(k_p g (target - angle), -1, 1); torque = k_t (duty V - k_t speed) / R",
+    "back-EMF drives through its resistance. The firmware goes by an angle that is half a period of its loop old on "
+    "average.",
+    equation="duty = clip(k_p g (target - angle + T speed), -1, 1); torque = k_t (duty V - k_t speed) / R, "
+    "T = feedback_delay",
     parameters=(
         Parameter("kp", "1", 1.0, 4000.0, None, 200.0, "firmware's position gain, a register"),
         Parameter(
-            "duty_gain", "1/rad", 1e-4, 0.1, None, 4096 / (2 * 3.141592653589793) / (256 * 885), "duty per rad and k_p"
+            "duty_gain",
+            "1/rad",
+            1e-4,
+            1.0,
+            None,
+            4096 / (2 * 3.141592653589793) / (256 * 885),
+            "duty per rad and k_p: 0.0029 in an XL330, 0.165 in an STS3215",
         ),
         Parameter("voltage", "V", 3.0, 30.0, None, 7.4, "supplies of such servos"),
         Parameter("resistance", "ohm", 0.1, 50.0, None, 3.0, "windings of such motors"),
@@ -62,12 +62,17 @@ DRIVE = Drive(
             "torque_constant", "N m/A", 0.01, 10.0, None, 0.5, "behind the gear; stall torque over stall current"
         ),
         Parameter("delay", "s", 0.0, 0.05, None, 0.0, "bus and firmware"),
+        Parameter(
+            "feedback_delay", "s", 0.0, 0.005, None, 0.0, "half a period of the firmware's loop: 0.5 ms at 1 kHz"
+        ),
         GOAL_TICK,
+        FEEDBACK_TICK,
     ),
     spec=spec,
     fields=fields,
     target=target,
-    supply=supply,
-    strength=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+    by_duty=True,
+    full=full,
     free=("resistance", "torque_constant", "joint.armature", "delay"),
+    uncertain=("feedback_delay",),
 )

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Backlash: belt slack, or play at the shaft where there is no belt."""
 
-import numpy as np
-
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.filters import Play
-from labyrinth_sim.live import Fields, Live
+from labyrinth_sim.law import law, state
+from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
@@ -17,14 +16,17 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
         slack[:, site.tendon, 1] += values["width"] / 2
 
 
-def step(live: Live, site: Site, values: Values) -> None:
+@law
+def step(raw: int) -> None:
     """A slack belt neither pulls nor damps; MuJoCo's tendon would damp also within its spring's dead band."""
-    if site.tendon < 0:
+    s = state(raw)
+    width, hold = s.values[0], s.values[1]
+    if s.tendon < 0:
         return
-    stretch = live.length[:, site.tendon] + live.step * live.rate[:, site.tendon]
-    slack = np.abs(stretch) < values["width"] / 2
-    live["tendon_damping"][slack, site.tendon] = 0.0
-    live["dof_frictionloss"][slack, site.load_dof] += values["hold"][slack]
+    stretch = s.length[s.tendon] + s.step * s.rate[s.tendon]
+    if abs(stretch) < width / 2:
+        s.belt_damping[s.tendon] = 0.0
+        s.frictionloss[s.load_dof] += hold
 
 
 def measure(values: Values, site: Site, step: float, start: Array) -> Play | None:
@@ -50,7 +52,16 @@ EFFECT = Effect(
     mark="After each reversal the load stands still for the width of the gap while the motor already turns; a loop of "
     "constant width when load is drawn over motor.",
     shows="loop",
-    confused_with=("coulomb_friction", "dead_band", "load_friction", "direction_friction", "sensor_quantisation"),
+    confused_with=(
+        "coulomb_friction",
+        "dead_band",
+        "load_friction",
+        "direction_friction",
+        "sensor_quantisation",
+        "lugre_friction",
+        "belt_compliance",
+        "stribeck_friction",
+    ),
     separated_by="Slow triangles of two amplitudes with encoder and potentiometer: backlash widens the loop "
     "between the two, "
     "friction the one between command and encoder.",

@@ -29,7 +29,13 @@ EFFECT = Effect(
     stage="mjcf",
     mark="The ball rolls away while all angles read zero, always to the same side.",
     shows="adrift",
-    confused_with=("rolling_friction", "sensor_bias", "gravity_load", "cross_coupling"),
+    confused_with=(
+        "rolling_friction",
+        "sensor_bias",
+        "gravity_load",
+        "cross_coupling",
+        "constant_torque",
+    ),
     separated_by="Find the tilt at which the ball rests, from both sides: friction leaves a band about it, a "
     "tilted table "
     "shifts it.",

@@ -20,7 +20,11 @@ EFFECT = Effect(
     stage="measurement",
     mark="The ball trails its true position by speed times latency, while the motors are on time.",
     shows="late",
-    confused_with=("command_delay", "rolling_friction"),
+    confused_with=(
+        "command_delay",
+        "rolling_friction",
+        "camera_scale",
+    ),
     separated_by="A step of the board: with latency the encoder moves on time and the ball late.",
     where="ball",
     order=10,

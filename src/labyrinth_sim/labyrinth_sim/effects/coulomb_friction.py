@@ -21,7 +21,17 @@ EFFECT = Effect(
     stage="mjcf",
     mark="The axis stops short of its target by the same angle from either side; flat tops after slow reversals.",
     shows="loop",
-    confused_with=("dead_band", "stribeck_friction", "load_friction", "backlash", "direction_friction"),
+    confused_with=(
+        "dead_band",
+        "stribeck_friction",
+        "load_friction",
+        "backlash",
+        "direction_friction",
+        "lugre_friction",
+        "command_quantisation",
+        "directional_load_friction",
+        "positioning_error",
+    ),
     separated_by="Triangles at several speeds: Coulomb's error does not change with speed, Stribeck's does.",
     fields=fields,
 )

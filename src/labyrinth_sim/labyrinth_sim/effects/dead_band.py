@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dead band of the position law."""
 
-import numpy as np
-
-from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.trials import Array
+from labyrinth_sim.effect import Effect, Parameter
+from labyrinth_sim.law import law, state
 
 
-def error(values: Values, error: Array) -> Array:
-    return error - np.clip(error, -values["half_width"], values["half_width"])
+@law
+def error(raw: int) -> None:
+    s = state(raw)
+    half, error = s.values[0], s.error[s.channel]
+    s.error[s.channel] = error - min(max(error, -half), half)
 
 
 EFFECT = Effect(
@@ -20,7 +21,14 @@ EFFECT = Effect(
     stage="drive",
     mark="The axis stops short of its target by a fixed angle on the side it came from; small commands do nothing.",
     shows="loop",
-    confused_with=("coulomb_friction", "backlash", "command_quantisation", "stribeck_friction", "load_friction"),
+    confused_with=(
+        "coulomb_friction",
+        "backlash",
+        "command_quantisation",
+        "stribeck_friction",
+        "load_friction",
+        "lugre_friction",
+    ),
     separated_by="Hold a target and look at the effort: friction leaves the motor pushing, a dead band leaves it idle.",
     error=error,
 )

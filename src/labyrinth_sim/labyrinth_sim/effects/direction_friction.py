@@ -25,7 +25,17 @@ EFFECT = Effect(
     stage="mjcf",
     mark="The axis stops short of its target coming from one side only.",
     shows="one_sided",
-    confused_with=("coulomb_friction", "gravity_load", "load_friction", "sensor_bias", "directional_load_friction"),
+    confused_with=(
+        "coulomb_friction",
+        "gravity_load",
+        "load_friction",
+        "sensor_bias",
+        "directional_load_friction",
+        "constant_torque",
+        "direction_viscous_friction",
+        "lugre_friction",
+        "backlash",
+    ),
     separated_by="Slow triangles about several positions: the difference between up and down stays, that of a "
     "gravity load "
     "changes.",

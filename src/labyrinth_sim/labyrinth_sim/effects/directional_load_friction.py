@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Load-dependent friction with the direction of power: MuJoCo's frictionloss, set anew before every step."""
 
-import numpy as np
-
-from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.live import Live
-from labyrinth_sim.site import Site
+from labyrinth_sim.effect import Effect, Parameter
+from labyrinth_sim.law import law, state
 
 
-def step(live: Live, site: Site, values: Values) -> None:
-    dof = site.dof
-    motor, outside = live.actuator[:, dof], live.passive[:, dof] - live.bias[:, dof]
-    share = np.where(np.abs(motor) >= np.abs(outside), values["driving"], values["driven"])
-    live["dof_frictionloss"][:, dof] += share * np.abs(motor - outside)
+@law
+def step(raw: int) -> None:
+    s = state(raw)
+    driving, driven = s.values[0], s.values[1]
+    motor, outside = s.actuator[s.dof], s.passive[s.dof] - s.bias[s.dof]
+    share = driving if abs(motor) >= abs(outside) else driven
+    s.frictionloss[s.dof] += share * abs(motor - outside)
 
 
 EFFECT = Effect(
@@ -31,6 +30,7 @@ EFFECT = Effect(
     shows="passing",
     confused_with=("load_friction", "coulomb_friction", "direction_friction"),
     separated_by="Lift and lower the same load slowly: with plain load friction both lose the same share.",
+    contains=(("driving", "load_friction", "share"), ("driven", "load_friction", "share")),
     touches=("dof_frictionloss",),
     step=step,
 )

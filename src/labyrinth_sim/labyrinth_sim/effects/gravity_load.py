@@ -46,9 +46,12 @@ EFFECT = Effect(
         "return_spring",
         "positioning_error",
         "load_friction",
+        "constant_torque",
+        "cross_coupling",
     ),
     separated_by="Triangles over the whole range: its pull changes with the angle's cosine and does not depend on the "
     "direction of motion.",
+    needs=("hinge",),
     spec=spec,
     fields=fields,
 )

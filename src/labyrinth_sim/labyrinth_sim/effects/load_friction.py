@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Load-dependent friction: MuJoCo's frictionloss, set anew before every step."""
 
-import numpy as np
-
-from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.live import Live
-from labyrinth_sim.site import Site
+from labyrinth_sim.effect import Effect, Parameter
+from labyrinth_sim.law import law, state
 
 
-def step(live: Live, site: Site, values: Values) -> None:
-    dof = site.dof
-    outside = live.passive[:, dof] - live.bias[:, dof]
-    live["dof_frictionloss"][:, dof] += values["share"] * np.abs(live.actuator[:, dof] - outside)
+@law
+def step(raw: int) -> None:
+    s = state(raw)
+    outside = s.passive[s.dof] - s.bias[s.dof]
+    s.frictionloss[s.dof] += s.values[0] * abs(s.actuator[s.dof] - outside)
 
 
 EFFECT = Effect(
@@ -26,7 +24,18 @@ EFFECT = Effect(
     mark="The axis stops short of its target by more where it carries more load; hardly any friction "
     "where it carries none.",
     shows="passing",
-    confused_with=("coulomb_friction", "directional_load_friction", "direction_friction", "backlash", "gravity_load"),
+    confused_with=(
+        "coulomb_friction",
+        "directional_load_friction",
+        "direction_friction",
+        "backlash",
+        "gravity_load",
+        "lugre_friction",
+        "dead_band",
+        "stribeck_friction",
+        "duty_cut_back",
+        "direction_viscous_friction",
+    ),
     separated_by="Slow triangles about positions with high and with low load: the loop widens with the load.",
     touches=("dof_frictionloss",),
     step=step,

@@ -28,7 +28,13 @@ EFFECT = Effect(
     stage="command",
     mark="The axis never quite reaches some targets, always missing the same ones by the same angle from either side.",
     shows="by_angle",
-    confused_with=("gain_error", "sensor_bias", "coulomb_friction", "command_quantisation", "gravity_load"),
+    confused_with=(
+        "gain_error",
+        "sensor_bias",
+        "coulomb_friction",
+        "command_quantisation",
+        "gravity_load",
+    ),
     separated_by="A staircase up and down over the whole range: this error depends on the angle and not on the "
     "direction.",
     order=50,

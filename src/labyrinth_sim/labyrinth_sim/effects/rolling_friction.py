@@ -28,7 +28,12 @@ EFFECT = Effect(
     stage="mjcf",
     mark="The ball does not start below a certain tilt and loses the same speed every second.",
     shows="calmer",
-    confused_with=("board_not_level", "camera_latency", "camera_scale"),
+    confused_with=(
+        "board_not_level",
+        "camera_latency",
+        "camera_scale",
+        "restitution",
+    ),
     separated_by="Let it roll to and fro at one tilt: friction slows both ways, a board that is not level helps one of "
     "them.",
     where="ball",

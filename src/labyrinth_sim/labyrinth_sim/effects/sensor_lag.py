@@ -20,7 +20,12 @@ EFFECT = Effect(
     stage="measurement",
     mark="One signal rounds off every corner and trails the faster it changes; it starts on time.",
     shows="late",
-    confused_with=("sensor_delay", "command_delay", "viscous_friction", "belt_compliance"),
+    confused_with=(
+        "sensor_delay",
+        "command_delay",
+        "viscous_friction",
+        "belt_compliance",
+    ),
     separated_by="Fast sines: a lag makes them smaller, a delay does not; compare the sensors of one axis for "
     "motor and "
     "load.",

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stribeck friction: MuJoCo's frictionloss, set anew before every step."""
 
-import numpy as np
+import math
 
-from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.live import Live
-from labyrinth_sim.site import Site
+from labyrinth_sim.effect import Effect, Parameter
+from labyrinth_sim.law import law, state
 
 
-def step(live: Live, site: Site, values: Values) -> None:
-    slow = np.exp(-((live.qvel[:, site.dof] / values["speed"]) ** 2))
-    live["dof_frictionloss"][:, site.dof] += values["extra"] * slow
+@law
+def step(raw: int) -> None:
+    s = state(raw)
+    extra, slow = s.values[0], s.qvel[s.dof] / s.values[1]
+    s.frictionloss[s.dof] += extra * math.exp(-(slow**2))
 
 
 EFFECT = Effect(
@@ -25,7 +26,13 @@ EFFECT = Effect(
     stage="force",
     mark="Slow motion goes in jerks (stick-slip); friction is felt near reversals and gone at speed.",
     shows="loop",
-    confused_with=("coulomb_friction", "dead_band", "load_friction", "backlash"),
+    confused_with=(
+        "coulomb_friction",
+        "dead_band",
+        "load_friction",
+        "backlash",
+        "lugre_friction",
+    ),
     separated_by="Triangles at several speeds: Stribeck's friction falls with speed, Coulomb's does not.",
     touches=("dof_frictionloss",),
     step=step,

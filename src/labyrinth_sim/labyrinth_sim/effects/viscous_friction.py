@@ -21,7 +21,14 @@ EFFECT = Effect(
     stage="mjcf",
     mark="The lag behind a ramp grows with its speed; nothing is left of it at rest.",
     shows="passing",
-    confused_with=("torque_saturation", "sensor_lag", "supply_sag"),
+    confused_with=(
+        "torque_saturation",
+        "sensor_lag",
+        "supply_sag",
+        "direction_viscous_friction",
+        "rate_limit",
+        "motion_profile",
+    ),
     separated_by="Ramps of several speeds: viscous lag grows in proportion, saturation sets in at once.",
     fields=fields,
 )

@@ -7,13 +7,16 @@ from pathlib import Path
 
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.mjcf.geometry import Layout, load_geometry
-from labyrinth_sim.mjcf.labyrinth import labyrinth_xml
+from labyrinth_sim.mjcf.labyrinth import CYBERRUNNER, labyrinth_xml
 
 
 def labyrinth_files(layouts: dict[str, Layout]) -> dict[str, str]:
-    """File name -> MJCF text: one file a layout, and the plain board."""
+    """File name -> MJCF text: one file a layout, the plain board, and the hard one as CyberRunner drives it."""
     files = {f"labyrinth_{name}.xml": labyrinth_xml(layout) for name, layout in layouts.items()}
     files["labyrinth_plain.xml"] = labyrinth_xml(next(iter(layouts.values())), plain=True)
+    own = layouts.get("hard", next(iter(layouts.values())))
+    for name, plain in (("cyberrunner", False), ("cyberrunner_plain", True)):
+        files[f"{name}.xml"] = labyrinth_xml(own, plain, CYBERRUNNER, name)
     return files
 
 

@@ -3,13 +3,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-import yaml
+from pydantic import ConfigDict, Field
 
-from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array, locked
+from labyrinth_sim.yaml_file import Document, Entry, read_yaml
 
 
 @dataclass(frozen=True)
@@ -94,26 +95,52 @@ _LENGTHS = (
 )
 
 
+_Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+_Wall = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class _GeometryFile(Entry):
+    model_config = ConfigDict(extra="allow")  # what all layouts have in common
+    layouts: dict[str, Any]
+
+
+class _LayoutEntry(Entry):
+    noun = "geometry"
+    board_size: _Pair
+    walls_h: list[_Wall]
+    walls_v: list[_Wall]
+    holes: list[_Pair]
+    path: list[_Pair]
+    ball_radius: float
+    ball_mass: float
+    hole_radius: float
+    wall_width: float
+    wall_height: float
+    tilt_limit_deg: float
+    landmark_spacing: _Pair
+    landmark_diameter: float
+
+
 def load_geometry(path: Path) -> dict[str, Layout]:
     """The layouts of a geometry file, by name.
 
     Raises:
         InputError: the file is missing, is no YAML, or lacks or misspells an entry.
     """
-    try:
-        data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise InputError(f"Cannot read labyrinth geometry {path}: {error}") from error
-    if not isinstance(data, dict) or not isinstance(data.get("layouts"), dict):
-        raise InputError(f"{path}: expected a mapping with an entry 'layouts'.")
-    common = {name: value for name, value in data.items() if name != "layouts"}
-    valid = set(Layout.__dataclass_fields__) - {"name"}
+    document = read_yaml(path)
+    document.read(_GeometryFile)
+    common = {name: value for name, value in document.data.items() if name != "layouts"}
     layouts = {}
-    for name, own in data["layouts"].items():
-        entries = {**common, **own}
-        complaints = [unknown_name("geometry", key, valid) for key in entries if key not in valid]
-        complaints += [f"{path}: layout {name} lacks '{key}'." for key in sorted(valid - set(entries))]
-        if complaints:
-            raise InputError(complaints)
-        layouts[name] = Layout(name=name, **entries)
+    for name in document.mapping(("layouts",)):
+        own = document.mapping(("layouts", name))
+        whole = Document(f"{path}: layout {name}", {**common, **own})
+        entry = whole.read(_LayoutEntry)
+        document.found += whole.found
+        if entry is None:
+            continue
+        try:
+            layouts[name] = Layout(name=name, **entry.model_dump())
+        except InputError as error:
+            document.complain(("layouts", name), str(error))
+    document.check()
     return layouts

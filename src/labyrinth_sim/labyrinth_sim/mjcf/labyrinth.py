@@ -9,6 +9,7 @@ ratio * motor - board.
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +33,29 @@ BELT_RATIO = 1.0  # board angle per motor angle: the paper's motor angles are bo
 BELT_STIFFNESS = 100.0  # N m/rad: 1.6 deg at stall torque, hardly more than rigid; resonance at 45 Hz
 BELT_DAMPING = 0.3  # N m s/rad
 
+
+@dataclass(frozen=True)
+class DriveTrain:
+    """What turns the board.
+
+    Attributes:
+        ratio: of axes x and y, board angle over motor angle.
+        armature: kg m^2 of the motor at its shaft. torque: N m, at stall.
+        stiffness, damping: of the belt or string, at the board, N m/rad, N m s/rad.
+    """
+
+    ratio: tuple[float, float] = (BELT_RATIO, BELT_RATIO)
+    armature: float = ARMATURE
+    torque: float = STALL_TORQUE
+    stiffness: float = BELT_STIFFNESS
+    damping: float = BELT_DAMPING
+
+
+BELTS = DriveTrain()
+CYBERRUNNER = DriveTrain(  # small servos turn the knobs of the toy, whose strings turn the board
+    ratio=(0.073, 0.115), armature=1.5e-4, torque=0.215
+)
+
 # Ball contact, the same with everything it touches: as stiff as the time step allows, 2 um deep at rest.
 FRICTION = "0.6 0.005 0.0001"  # steel on painted wood, estimate; only the first acts (condim 3)
 SOLREF, SOLIMP = "0.004 1", "0.99 0.999 0.0001"
@@ -39,14 +63,16 @@ SOLREF, SOLIMP = "0.004 1", "0.99 0.999 0.0001"
 AXES = {"x": "1 0 0", "y": "0 1 0"}
 
 
-def labyrinth_xml(layout: Layout, plain: bool = False) -> str:
+def labyrinth_xml(layout: Layout, plain: bool = False, train: DriveTrain = BELTS, name: str = "") -> str:
     """MJCF text of one layout.
 
     Args:
         layout: the geometry.
         plain: leave out walls, holes and ball, with the same inertia: for questions about the servos only.
+        train: what turns the board.
+        name: of the model; that of the layout by default.
     """
-    root = ET.Element("mujoco", model=f"labyrinth_{'plain' if plain else layout.name}")
+    root = ET.Element("mujoco", model=name or f"labyrinth_{'plain' if plain else layout.name}")
     root.append(ET.Comment(" Made by labyrinth_sim.mjcf from config/labyrinth_geometry.yaml; do not edit. SI units. "))
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     option = ET.SubElement(root, "option", timestep=_n(TIMESTEP), integrator="implicitfast")
@@ -58,10 +84,10 @@ def labyrinth_xml(layout: Layout, plain: bool = False) -> str:
     _surroundings(world, layout)
     frame = _frame(world, layout)
     _board(frame, asset, layout, plain)
-    _motors(world, layout)
+    _motors(world, layout, train)
     if not plain:
         _ball(world, layout)
-    _drive_train(root)
+    _drive_train(root, train)
     _sensors(root, plain)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
@@ -160,13 +186,13 @@ def _floor(board: ET.Element, asset: ET.Element, layout: Layout) -> None:
             ET.SubElement(board, "geom", {"name": f"hole_{number}_{i}", "mesh": f"wedge_{i}"} | place | looks)
 
 
-def _motors(world: ET.Element, layout: Layout) -> None:
+def _motors(world: ET.Element, layout: Layout, train: DriveTrain) -> None:
     reach = layout.board_size / 2 + RIM_WIDTH + FRAME_GAP + FRAME_WIDTH + BOX_GAP + BOX_WALL
     places = {"x": (reach[0] + 0.004, 0.0, PIVOT_HEIGHT), "y": (0.0, -reach[1] - 0.004, PIVOT_HEIGHT)}
     for axis, place in places.items():
         motor = ET.SubElement(world, "body", name=f"motor_{axis}", pos=_v(place))
         _inertial(motor, HORN_MASS, (1e-6, 1e-6, 1e-6))
-        ET.SubElement(motor, "joint", name=f"motor_{axis}", axis=AXES[axis], armature=_n(ARMATURE))
+        ET.SubElement(motor, "joint", name=f"motor_{axis}", axis=AXES[axis], armature=_n(train.armature))
         ends = "-0.004 0 0 0.004 0 0" if axis == "x" else "0 -0.004 0 0 0.004 0"
         looks = {"contype": "0", "conaffinity": "0", "material": "servo"}
         ET.SubElement(motor, "geom", looks, name=f"horn_{axis}", type="cylinder", fromto=ends, size="0.014")
@@ -182,15 +208,15 @@ def _ball(world: ET.Element, layout: Layout) -> None:
     ET.SubElement(ball, "geom", {"name": "ball"} | size | contact)
 
 
-def _drive_train(root: ET.Element) -> None:
+def _drive_train(root: ET.Element, train: DriveTrain) -> None:
     tendons = ET.SubElement(root, "tendon")
     actuators = ET.SubElement(root, "actuator")
-    for axis in AXES:
-        spring = {"stiffness": _n(BELT_STIFFNESS), "damping": _n(BELT_DAMPING), "springlength": "0 0"}
+    for axis, ratio in zip(AXES, train.ratio, strict=True):
+        spring = {"stiffness": _n(train.stiffness), "damping": _n(train.damping), "springlength": "0 0"}
         belt = ET.SubElement(tendons, "fixed", {"name": f"belt_{axis}"} | spring)
-        ET.SubElement(belt, "joint", joint=f"motor_{axis}", coef=_n(BELT_RATIO))
+        ET.SubElement(belt, "joint", joint=f"motor_{axis}", coef=_n(ratio))
         ET.SubElement(belt, "joint", joint=f"board_{axis}", coef="-1")
-        limit = f"{-STALL_TORQUE} {STALL_TORQUE}"
+        limit = f"{-train.torque} {train.torque}"
         name = f"motor_{axis}"
         ET.SubElement(actuators, "motor", name=name, joint=name, ctrlrange=limit, forcerange=limit)
 

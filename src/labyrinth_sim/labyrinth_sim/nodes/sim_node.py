@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The MuJoCo simulation as a ROS node, with the topics of the real rig."""
+"""The MuJoCo simulation as a managed ROS node, with the topics and the lifecycle of the real rig.
+
+Configured, it simulates and publishes. Active, it is armed: it obeys commands. A simulation can harm nothing, so it
+starts armed, and does not disarm itself. Paused, it stands still with all that it has; so does its /clock.
+"""
 
 import signal
 import sys
 import time
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -12,68 +18,137 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 
-from labyrinth_msgs.msg import BallEvent, BallState
-from labyrinth_msgs.srv import LoadModel
+from labyrinth_msgs.msg import BallEvent, BallState, RunningModel
+from labyrinth_msgs.srv import LoadModel, StepSimulation
 from labyrinth_sim.ball import ON_BOARD, OVER_THE_RIM, BallGame
-from labyrinth_sim.errors import InputError
+from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.nodes.start import start_ros
 from labyrinth_sim.nodes.waiting import waiting
 from labyrinth_sim.stepper import Stepper
+from labyrinth_sim.urdf import urdf
 
-RELIABLE = QoSProfile(depth=50)
 CATCH_UP = 0.25  # s; a longer hiccup is skipped rather than caught up
+MOST_STEPS = 100_000  # samples in one call of step
+BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
-class SimNode(Node):
+class SimNode(LifecycleNode):
     """Runs one model in real time, or at a multiple of it, and publishes what its sensors see."""
 
     def __init__(self) -> None:
         super().__init__("sim_node")
-        self._declare("model", "labyrinth", "name or path of the model [-]", read_only=False)
-        self._declare("namespace", "/sim", "prefix of the topics [-]")
+        self._declare("model", "labyrinth", "name or path of the model [-]", changes=True)
+        self._declare("side", "sim", "prefix of the topics, within the node's namespace [-]")
         self._declare("rate", 0.0, "samples per second; 0 for the rig's [Hz]", low=0.0, high=1000.0)
         self._declare("real_time_factor", 1.0, "seconds simulated per second; /clock is published where not 1 [1]",
-                      low=0.01, high=100.0)  # fmt: skip
+                      low=0.01, high=100.0, changes=True)  # fmt: skip
+        self._declare("publish_clock", False, "publish /clock and stamp by it where the factor is 1, too [-]")
         self._declare("seed", 0, "seed of the sensors' noise [-]", low=0, high=2**31 - 1)
-        self._declare("noise", 0.0, "standard deviation of the measured angles' noise [rad]", low=0.0, high=0.1)
-        prefix = str(self.get_parameter("namespace").value).rstrip("/")
+        self._declare("autostart", True, "configure at start; else a lifecycle manager does [-]")
+        self._declare("arm", True, "activate at start, so that commands are obeyed [-]")
+        self._declare("paused", False, "start paused [-]")
+        self._declare("noise", 0.0, "standard deviation of the measured angles' noise [rad]", low=0.0, high=0.1,
+                      changes=True)  # fmt: skip
+        self._refuse_unknown_parameters()
+        side = str(self.get_parameter("side").value).rstrip("/")
         rate = float(self.get_parameter("rate").value)
         self._factor = float(self.get_parameter("real_time_factor").value)
         self._noise = float(self.get_parameter("noise").value)
         self._random = np.random.default_rng(int(self.get_parameter("seed").value))
         self._rate = rate
         self._loaded = 0
+        self._configured = self._active = False
+        self._paused = bool(self.get_parameter("paused").value)
         self._model: Model
         self._stepper: Stepper
-        self._use(load_model(str(self.get_parameter("model").value)))
+        self._next: tuple[Model, Stepper] | None = None  # what a new value of `model` was found to be
+        model = load_model(str(self.get_parameter("model").value))
+        self._use(model, self._stepper_of(model))
         topics = self._model.rig.topics
-        qos = {"qos_profile": RELIABLE, "qos_overriding_options": QoSOverridingOptions.with_default_policies()}
-        self._states = self.create_publisher(JointState, f"{prefix}/{topics['states']}", **qos)
-        self._balls = self.create_publisher(BallState, f"{prefix}/{topics['ball']}", **qos)
-        self._events = self.create_publisher(BallEvent, f"{prefix}/{topics['ball_event']}", **qos)
+        self._states = self.create_publisher(JointState, f"{side}/{topics['states']}", **_qos())
+        self._balls = self.create_publisher(BallState, f"{side}/{topics['ball']}", **_qos())
+        self._events = self.create_publisher(BallEvent, f"{side}/{topics['ball_event']}", **_qos())
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._clocks = self.create_publisher(ClockMessage, "/clock", 10) if self._factor != 1.0 else None
-        self._commands = self.create_subscription(JointState, f"{prefix}/{topics['commands']}", self._command, **qos)
-        self.create_service(Trigger, f"{prefix}/reset", self._reset)
-        self.create_service(Trigger, f"{prefix}/supply_ball", self._supply)
-        self.create_service(LoadModel, f"{prefix}/load_model", self._load)
-        self.add_on_set_parameters_callback(self._changed)
+        told = self._factor != 1.0 or self.get_parameter("publish_clock").value
+        self._clocks = self.create_publisher(ClockMessage, "/clock", 10) if told else None
+        self._models = self.create_publisher(RunningModel, f"{side}/model", _latched())
+        self._descriptions = self.create_publisher(String, f"{side}/robot_description", _latched())
+        self._commands = self.create_subscription(JointState, f"{side}/{topics['commands']}", self._command, **_qos())
+        self.create_service(SetBool, f"{side}/arm", self._arm)
+        self.create_service(Trigger, f"{side}/reset", self._reset)
+        self.create_service(Trigger, f"{side}/supply_ball", self._supply)
+        self.create_service(SetBool, f"{side}/pause", self._pause)
+        self.create_service(StepSimulation, f"{side}/step", self._step)
+        self.create_service(LoadModel, f"{side}/load_model", self._load)
+        self.add_on_set_parameters_callback(self._may_change)
+        self.add_post_set_parameters_callback(self._changed)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(min(self._stepper.step / self._factor, 0.02), self._tick, clock=steady)
+        self._ticker = self.create_timer(self._period, self._tick, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
         self._began, self._epoch = time.monotonic(), self.get_clock().now().nanoseconds
         self._done = 0  # samples simulated since the beginning
         self._skipped, self._late, self._refused = 0.0, 0, 0
-        self.get_logger().info(f"Simulates '{self._model.name}' at {1 / self._stepper.step:g} Hz under {prefix}.")
+        self._tell_model()
+        self.get_logger().info(
+            f"Simulates '{self._model.name}' at {1 / self._stepper.step:g} Hz under {self.resolve_topic_name(side)}."
+        )
+
+    def start(self) -> None:
+        """Configure and arm as the parameters say."""
+        if self.get_parameter("autostart").value:
+            self.trigger_configure()
+            if self.get_parameter("arm").value:
+                self.trigger_activate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Simulate and publish, from rest."""
+        self._rest()
+        self._resume()
+        self._configured = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Arm: commands are obeyed."""
+        self._drop()  # what came before
+        self._active = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Disarm: the last command stays in force."""
+        self._active = False
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Neither simulate nor publish."""
+        self._configured = self._active = False
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """The same, for good."""
+        return self.on_cleanup(state)
+
+    def _arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """The lifecycle's transitions, with a reason where they are refused."""
+        if not self._configured:
+            response.success, response.message = False, f"Configure {self.get_name()} first."
+            return response
+        if request.data and not self._active:
+            self.trigger_activate()
+        elif not request.data and self._active:
+            self.trigger_deactivate()
+        response.success = True
+        response.message = "Armed: commands are obeyed." if request.data else "Disarmed: commands are refused."
+        return response
 
     def _declare(
         self,
@@ -82,9 +157,9 @@ class SimNode(Node):
         text: str,
         low: float | None = None,
         high: float | None = None,
-        read_only: bool = True,
+        changes: bool = False,
     ) -> None:
-        about = ParameterDescriptor(description=text, read_only=read_only)
+        about = ParameterDescriptor(description=text, read_only=not changes)
         if low is not None and high is not None:
             if isinstance(default, int):
                 about.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
@@ -92,20 +167,42 @@ class SimNode(Node):
                 about.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
         self.declare_parameter(name, default, about)
 
-    def _use(self, model: Model, keep_pose: bool = False) -> None:
-        """Takes over a model; an unusable one raises and leaves the old one running."""
-        stepper = Stepper(model, 1.0 / self._rate if self._rate else None)
-        channels = model.rig.command_channels
-        if keep_pose:
-            if channels != self._model.rig.command_channels or stepper.step != self._stepper.step:
-                raise InputError(f"'{model.name}' has other command channels or another rate than the running model.")
-            self._last = stepper.reset(self._pose())
-        else:
-            self._target = np.zeros(len(channels))
-            self._last = stepper.reset()
+    def _refuse_unknown_parameters(self) -> None:
+        known = [name for name in self._parameters if not name.startswith(BUILT_IN)]
+        unknown = [n for n in self._parameter_overrides if not self.has_parameter(n) and not n.startswith(BUILT_IN)]
+        if unknown:
+            raise InputError([unknown_name("parameter", name, known) for name in unknown])
+
+    @property
+    def _period(self) -> float:
+        """s between two looks at how far to simulate."""
+        return min(self._stepper.step / self._factor, 0.02)
+
+    def _stepper_of(self, model: Model) -> Stepper:
+        return Stepper(model, 1.0 / self._rate if self._rate else None)
+
+    def _use(self, model: Model, stepper: Stepper) -> None:
+        """Starts a model from rest."""
+        self._target = np.zeros(len(model.rig.command_channels))
+        self._last = stepper.reset()
         self._model, self._stepper = model, stepper
-        self._lost = False
-        self._game = _game(stepper)
+        self._lost, self._game = False, _game(stepper)
+
+    def _replace(self, model: Model, stepper: Stepper) -> None:
+        """Goes on with another model from the pose and the commands of now."""
+        self._last = stepper.reset(self._pose())
+        self._model, self._stepper = model, stepper
+        self._lost, self._game = False, _game(stepper)
+        self._loaded += 1
+        self._tell_model()  # whoever compares should know before the next trial
+        self._report()
+        self.get_logger().info(f"Simulates '{model.name}' now.")
+
+    def _tell_model(self) -> None:
+        message = RunningModel(name=self._model.name, file=str(self._model.path or ""), loaded=self._loaded)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._models.publish(message)
+        self._descriptions.publish(String(data=urdf(self._model.rig)))
 
     def _pose(self) -> dict[str, float]:
         now = dict(zip(self._stepper.signals, self._last, strict=True))
@@ -117,6 +214,13 @@ class SimNode(Node):
         channels = self._model.rig.command_channels
         names, angles = list(message.name), np.array(message.position, float)
         unknown = [n for n in names if n not in channels]
+        if not self._active:
+            self._refused += 1
+            self.get_logger().warning(
+                f"Refused a command: the simulation is disarmed. To arm it, activate {self.get_name()} or call NS/arm.",
+                throttle_duration_sec=1.0,
+            )
+            return
         if not names or unknown or len(names) != len(angles) or not np.isfinite(angles).all():
             self._refused += 1
             self.get_logger().warning(
@@ -129,6 +233,10 @@ class SimNode(Node):
             axis = self._model.rig.axes[channels.index(name)]
             self._target[channels.index(name)] = np.clip(angle, *axis.limits)
 
+    def _drop(self) -> None:
+        for _ in waiting(self._commands):
+            self._refused += 1
+
     def _hear(self) -> None:
         """Takes all commands that wait: the executor takes one at a time, and what piled up once would stay late."""
         for message in waiting(self._commands):
@@ -137,9 +245,10 @@ class SimNode(Node):
     def _tick(self) -> None:
         """Simulates up to now; counts samples from the beginning, so that nothing drifts."""
         self._hear()
+        if not self._configured or self._paused:
+            return
         step = self._stepper.step
-        passed = (time.monotonic() - self._began) * self._factor - self._skipped
-        due = int(passed / step) - self._done
+        due = int(self._passed() / step) - self._done
         most = max(1, int(CATCH_UP * max(self._factor, 1.0) / step))
         if due > most:
             self._skipped += (due - most) * step
@@ -147,6 +256,37 @@ class SimNode(Node):
             due = most
         for _ in range(due):
             self._sample()
+
+    def _passed(self) -> float:
+        """s to be simulated since the beginning."""
+        return (time.monotonic() - self._began) * self._factor - self._skipped
+
+    def _resume(self) -> None:
+        """Leaves out the time that has passed without being simulated; stamps never go back."""
+        self._skipped = max(self._skipped, self._skipped + self._passed() - self._done * self._stepper.step)
+
+    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if self._paused and not request.data:
+            self._resume()
+        self._paused = request.data
+        response.success, response.message = True, f"{'Paused' if self._paused else 'Running'}: {self._where()}"
+        return response
+
+    def _step(self, request: StepSimulation.Request, response: StepSimulation.Response) -> StepSimulation.Response:
+        if not self._configured or not self._paused:
+            reason = f"Pause it first, by {self._commands.topic_name.rpartition('/')[0]}/pause."
+            response.message = reason if self._configured else f"Configure {self.get_name()} first."
+        elif request.samples > MOST_STEPS:
+            response.message = f"{request.samples} samples in one call; expected {MOST_STEPS} at most."
+        else:
+            self._hear()
+            for _ in range(max(1, request.samples)):
+                self._sample()
+            response.success, response.message = True, self._where()
+        return response
+
+    def _where(self) -> str:
+        return f"{self._done} samples of {self._stepper.step:g} s simulated."
 
     def _sample(self) -> None:
         self._done += 1
@@ -163,8 +303,8 @@ class SimNode(Node):
             self._publish_ball(stamp)
 
     def _stamp(self) -> Time:
-        skipped = self._skipped if self._factor == 1.0 else 0.0
-        start = self._epoch if self._factor == 1.0 else 0
+        # With a clock of its own time begins at zero and passes as it is simulated, whatever is skipped.
+        skipped, start = (self._skipped, self._epoch) if self._clocks is None else (0.0, 0)
         nanoseconds = start + round((self._done * self._stepper.step + skipped) * 1e9)
         return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
@@ -187,7 +327,7 @@ class SimNode(Node):
 
     def _publish_ball(self, stamp: Time) -> None:
         message = BallState(visible=not self._lost)
-        message.header.stamp, message.header.frame_id = stamp, "board"
+        message.header.stamp, message.header.frame_id = stamp, "board_origin"
         message.x, message.y = (float(v) for v in self._last[-2:])
         if self._game and not self._lost:
             hole = int(self._game.loss(self._game.position(self._stepper.qpos)))
@@ -198,14 +338,17 @@ class SimNode(Node):
 
     def _event(self, stamp: Time, kind: int, hole: int) -> None:
         event = BallEvent(kind=kind, hole=hole)
-        event.header.stamp, event.header.frame_id = stamp, "board"
+        event.header.stamp, event.header.frame_id = stamp, "board_origin"
         self._events.publish(event)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._target[:] = 0.0
-        self._last, self._lost = self._stepper.reset(), False
+        self._rest()
         response.success, response.message = True, f"'{self._model.name}' starts anew from rest."
         return response
+
+    def _rest(self) -> None:
+        self._target[:] = 0.0
+        self._last, self._lost = self._stepper.reset(), False
 
     def _supply(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
@@ -219,33 +362,55 @@ class SimNode(Node):
         return response
 
     def _load(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
-        response.success, response.message = self._try(request.model)
+        done = self.set_parameters([Parameter("model", value=request.model)])[0]
+        response.success = done.successful
+        response.message = f"Simulates '{self._model.name}' now." if done.successful else done.reason
         return response
 
-    def _try(self, name: str) -> tuple[bool, str]:
-        try:
-            self._use(load_model(name), keep_pose=True)
-        except InputError as error:
-            return False, f"{error} '{self._model.name}' goes on."
-        self._loaded += 1
-        self._report()  # whoever compares should know before the next trial
-        text = f"Simulates '{self._model.name}' now."
-        self.get_logger().info(text)
-        return True, text
-
-    def _changed(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _may_change(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Whether new values will do; a model is compiled here, so that what is taken over works."""
         for parameter in parameters:
-            if parameter.name == "model":
-                done, text = self._try(str(parameter.value))
-                if not done:
-                    return SetParametersResult(successful=False, reason=text)
+            try:
+                if parameter.name == "model":
+                    self._next = self._compatible(str(parameter.value))
+                if parameter.name == "real_time_factor" and self._clocks is None and parameter.value != 1.0:
+                    raise InputError(
+                        "This node started without /clock, so its stamps are those of real time. Start it with "
+                        "another real_time_factor or with publish_clock:=true."
+                    )
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=f"{error} '{self._model.name}' goes on.")
         return SetParametersResult(successful=True)
 
+    def _compatible(self, name: str) -> tuple[Model, Stepper]:
+        model = load_model(name)
+        stepper = self._stepper_of(model)
+        if model.rig.command_channels != self._model.rig.command_channels or stepper.step != self._stepper.step:
+            raise InputError(f"'{model.name}' has other command channels or another rate than the running model.")
+        return model, stepper
+
+    def _changed(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name == "model" and self._next is not None:
+                (model, stepper), self._next = self._next, None
+                self._replace(model, stepper)
+            elif parameter.name == "noise":
+                self._noise = float(parameter.value)
+            elif parameter.name == "real_time_factor":
+                simulated = self._passed()
+                self._factor = float(parameter.value)
+                self._skipped += self._passed() - simulated
+                self._ticker.timer_period_ns = int(self._period * 1e9)
+
     def _report(self) -> None:
+        if not self._configured:
+            return
+        if self._paused and self._clocks:  # who starts meanwhile must learn the time, too
+            self._clocks.publish(ClockMessage(clock=self._stamp()))
         behind = self._late > 0
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if behind else DiagnosticStatus.OK,
-            name=f"{self.get_name()}: simulation",
+            name=f"{self.get_fully_qualified_name().strip('/')}: simulation",
             message=f"{self._late} samples were skipped" if behind else "in time",
             hardware_id="mujoco",
         )
@@ -253,6 +418,8 @@ class SimNode(Node):
             "model": self._model.name,
             "model file": self._model.path or "",
             "models loaded": self._loaded,
+            "state": "active" if self._active else "disarmed",
+            "paused": self._paused,
             "samples": self._done,
             "samples skipped": self._late,
             "commands refused": self._refused,
@@ -273,14 +440,30 @@ def _game(stepper: Stepper) -> BallGame | None:
         return None
 
 
-def main() -> None:
+def _qos() -> dict[str, Any]:
+    """Of one entity. A profile of its own: what rclpy changes in it by parameters must reach no other."""
+    return {
+        "qos_profile": QoSProfile(depth=50),
+        "qos_overriding_options": QoSOverridingOptions.with_default_policies(),
+    }
+
+
+def _latched() -> QoSProfile:
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def main(args: Sequence[str] | None = None) -> None:
     """Runs the node until it is interrupted; exit code 2 for bad parameters."""
     # rclpy's own handlers would close the context under a callback that is still publishing.
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    start_ros("sim_node", "Simulates a model, with the topics of the real rig.", sys.argv[1:] if args is None else args)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
         node = SimNode()
+        node.start()
+    except KeyboardInterrupt:
+        rclpy.try_shutdown()
+        return
     except Exception as error:  # parameters that ROS or we refuse
         print(f"sim_node: {error}", file=sys.stderr)
         rclpy.try_shutdown()

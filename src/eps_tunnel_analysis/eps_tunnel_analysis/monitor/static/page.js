@@ -21,6 +21,14 @@ function connect() {
     const away = document.getElementById("away");
     away.hidden = false;
     away.textContent = "The monitor does not answer. Connecting again…";
+    fetch("/static/icon.svg", { cache: "no-store" }).then((answer) => {
+      if (answer.status === 403) away.textContent = "The monitor runs with another token. Open the address that it printed.";
+    }, () => {});
+    if (known.connections) { // what was there last is not known to be there now
+      known.connections = { ...known.connections, real: false, sim: false, player: false, analysis: false, armed: false };
+      known.job = { kind: "", told: "", seconds: 0 };
+      showControls(known);
+    }
     setTimeout(connect, delay);
     delay = Math.min(2 * delay, SLOWEST);
     draw();
@@ -31,6 +39,7 @@ function take(news) {
   if (news.refused) { showNotice(news.refused); return; }
   Object.assign(known, news);
   if (news.tunnel) tunnels.take(news.tunnel);
+  if (news.past) tunnels.keep(news.past.trials);
   if (news.choices) showChoices(news.choices);
   if (news.verdict) showVerdict(news.verdict);
   if (news.staircase) showStairs(news.staircase.steps);

@@ -129,7 +129,12 @@ export function showNotice(text) {
   setTimeout(() => { if (Date.now() >= noticeEnds) notice.hidden = true; }, 12100);
 }
 
+const MOST_TROUBLED = 0.02; // share of late and lost samples from which a banner tells it
+
 export function showHealth(h) {
+  const banner = element("troubled");
+  banner.hidden = !(h.troubled > MOST_TROUBLED);
+  banner.textContent = `${percent(h.troubled)} of the latest samples came late or were lost: what is shown may be wrong. Look for a busy machine or a weak network.`;
   const troubles = [["late", h.late], ["lost", h.lost], ["out of order", h.reordered], ["twice", h.duplicated], ["restarts", h.restarts], ["clock jumps", h.clock_jumps]];
   const told = troubles.filter(([, n]) => n).map(([name, n]) => `${n} ${name}`);
   element("health").textContent = `${h.received.toLocaleString("en")} samples came${told.length ? `; ${told.join(", ")}` : ", every one in its place"}.`;

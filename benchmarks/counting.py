@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study's records say: strict rates with their intervals. A case is right or it is not; nothing counts half.
+
+A record is one case: `kind`, `truth`, `visibility`, and what was said of it: `verdict`, `effects`, `stated`, `set`.
+"""
+
+import itertools
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import log, sqrt
+from typing import Any
+
+import numpy as np
+
+Record = dict[str, Any]
+
+VISIBLE = 3.0  # times the floor
+INVISIBLE = 1.0  # times the floor; below, "nothing is missing within the noise" is true
+SURE = 0.95
+LEVELS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)  # of stated probability, for the reliability
+LEAST = 1e-4  # a probability below counts as this in the log score
+WORTH = 0.1  # of the held-out error that the true form must take away for its fall to be compared
+Z = 1.959964  # of a two-sided 95 %
+RESAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured figure: its value, how many cases speak to it, and its 95 % interval; None where there is none."""
+
+    value: float | None
+    n: int
+    interval: tuple[float, float] | None
+
+
+def figures(records: Sequence[Record]) -> dict[str, Figure]:
+    """Every key of a study."""
+    visible = [r for r in records if r["kind"] == "single" and r["visibility"] > VISIBLE]
+    healthy = [r for r in records if r["kind"] == "healthy"]
+    foreign = [r for r in records if r["kind"] in ("outside", "left_out") and r["visibility"] > VISIBLE]
+    pairs = [r for r in records if r["kind"] == "pair"]
+    sure = [r for r in records if likeliest(r)[1] > SURE]
+    alarms = rate(healthy, is_false_alarm)
+    return {
+        "visible_right": rate(visible, is_right),
+        "visible_undecided": rate(visible, is_undecided),
+        "visible_wrong": rate(visible, lambda r: not is_right(r) and not is_undecided(r)),
+        "visible_misnamed": rate(visible, lambda r: r["verdict"] == "effect" and not is_right(r)),
+        "false_alarm": alarms,
+        "false_alarm_upper95": Figure(alarms.interval[1] if alarms.interval else None, alarms.n, alarms.interval),
+        "false_alarm_named": rate(healthy, lambda r: r["verdict"] == "effect"),
+        "unknown_found": rate(foreign, is_right),
+        "unknown_found_outside": rate([r for r in foreign if r["kind"] == "outside"], is_right),
+        "unknown_found_left_out": rate([r for r in foreign if r["kind"] == "left_out"], is_right),
+        "pair_both": rate(pairs, is_right),
+        "calibration_error": calibration(records),
+        "stated_above_95_wrong": rate(sure, lambda r: not is_true(r, likeliest(r)[0])),
+        "log_score": mean([log_score(r) for r in records if r["set"]]),
+        "drop_vs_true_form": median([drop for r in records if (drop := drop_vs_true_form(r)) is not None]),
+        "failed": rate(list(records), lambda r: r["verdict"] == "failed"),
+        "median_seconds": median([r["seconds"] for r in records]),
+    }
+
+
+def flat(found: dict[str, Figure]) -> dict[str, Any]:
+    """KEY, KEY_n and KEY_interval for JSON."""
+    out: dict[str, Any] = {}
+    for key, figure in found.items():
+        interval = None if figure.interval is None else list(figure.interval)
+        out |= {key: figure.value, f"{key}_n": figure.n, f"{key}_interval": interval}
+    return out
+
+
+def is_right(r: Record) -> bool:
+    """Whether the verdict is the truth, all of it and nothing more."""
+    said = {"complete": "none", "unknown": "unknown", "effect": " + ".join(sorted(r["effects"]))}
+    return said.get(r["verdict"]) == r["truth"]
+
+
+def is_undecided(r: Record) -> bool:
+    """Whether the verdict leaves it open, with the truth in the stated set."""
+    return r["verdict"] == "undecided" and r["truth"] in [_sorted(name) for name in r["stated"]]
+
+
+def is_false_alarm(r: Record) -> bool:
+    """Whether a healthy rig is said to lack something: anything but "complete", or a set that holds "none"."""
+    return r["verdict"] != "complete" and not (r["verdict"] == "undecided" and "none" in r["stated"])
+
+
+def likeliest(r: Record) -> tuple[str, float]:
+    """The hypothesis that the diagnosis holds most probable."""
+    return max(r["set"].items(), key=lambda item: item[1]) if r["set"] else ("", 0.0)
+
+
+def is_true(r: Record, hypothesis: str) -> bool:
+    """Whether a hypothesis holds: the truth, or "none" of what nobody can see."""
+    unseen = r["kind"] != "healthy" and r["visibility"] < INVISIBLE
+    return _sorted(hypothesis) == r["truth"] or (unseen and hypothesis == "none")
+
+
+def _sorted(hypothesis: str) -> str:
+    return " + ".join(sorted(hypothesis.split(" + ")))
+
+
+def log_score(r: Record) -> float:
+    """Logarithm of the probability that was given to what is true."""
+    return log(max(sum(p for name, p in r["set"].items() if is_true(r, name)), LEAST))
+
+
+def drop_vs_true_form(r: Record) -> float | None:
+    """Fall of the held-out error over that of the true form, fitted on its own; None where nothing can fall."""
+    if r.get("true_form") is None or r.get("held_out") is None or r["visibility"] <= VISIBLE:
+        return None
+    before, after = r["held_out"]
+    possible = before - r["true_form"]
+    return (before - after) / possible if possible > WORTH * before else None
+
+
+def rate(records: Sequence[Record], holds: Callable[[Record], bool]) -> Figure:
+    """Share of the records for which something holds, with Wilson's interval."""
+    count = sum(bool(holds(r)) for r in records)
+    return Figure(count / len(records), len(records), wilson(count, len(records))) if records else Figure(None, 0, None)
+
+
+def wilson(count: int, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share (Wilson 1927)."""
+    share = count / n
+    middle = (share + Z**2 / (2 * n)) / (1 + Z**2 / n)
+    half = Z / (1 + Z**2 / n) * sqrt(share * (1 - share) / n + Z**2 / (4 * n**2))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def mean(values: Sequence[float]) -> Figure:
+    """Mean, with the interval of a normal; none of a single value."""
+    if not values:
+        return Figure(None, 0, None)
+    middle = float(np.mean(values))
+    if len(values) == 1:
+        return Figure(middle, 1, None)
+    half = Z * float(np.std(values, ddof=1)) / sqrt(len(values))
+    return Figure(middle, len(values), (middle - half, middle + half))
+
+
+def median(values: Sequence[float]) -> Figure:
+    """Median, with the interval between the order statistics that a binomial puts about it."""
+    if not values:
+        return Figure(None, 0, None)
+    ranked, n = sorted(values), len(values)
+    low = max(0, int(np.floor(0.5 * n - 0.5 * Z * sqrt(n))))
+    return Figure(float(np.median(ranked)), n, (ranked[low], ranked[n - 1 - low]))
+
+
+def calibration(records: Sequence[Record]) -> Figure:
+    """Expected calibration error of the likeliest hypothesis, with a bootstrap's interval."""
+    pairs = np.array([(p, is_true(r, name)) for r in records if r["set"] for name, p in [likeliest(r)]], dtype=float)
+    if not len(pairs):
+        return Figure(None, 0, None)
+    rng = np.random.default_rng(0)
+    drawn = [_calibration_error(pairs[rng.integers(len(pairs), size=len(pairs))]) for _ in range(RESAMPLES)]
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return Figure(_calibration_error(pairs), len(pairs), (float(low), float(high)))
+
+
+def _calibration_error(pairs: np.ndarray) -> float:
+    error = 0.0
+    for low, high in itertools.pairwise(LEVELS):
+        inside = pairs[(pairs[:, 0] >= low) & (pairs[:, 0] < high)]
+        if len(inside):
+            error += len(inside) * abs(float(inside[:, 1].mean() - inside[:, 0].mean()))
+    return error / len(pairs)
+
+
+def reliability(records: Sequence[Record]) -> list[dict[str, Any]]:
+    """How often the likeliest hypothesis was true, by the probability it was given."""
+    told = [(p, is_true(r, name)) for r in records if r["set"] for name, p in [likeliest(r)]]
+    rows = []
+    for low, high in itertools.pairwise(LEVELS):
+        inside = [(p, true) for p, true in told if low <= p < high]
+        if inside:
+            count = sum(true for _, true in inside)
+            rows.append({
+                "from": low, "to": min(high, 1.0), "n": len(inside), "stated": float(np.mean([p for p, _ in inside])),
+                "true": count / len(inside), "interval": list(wilson(count, len(inside))),
+            })  # fmt: skip
+    return rows
+
+
+def confusion(records: Sequence[Record]) -> Iterator[tuple[str, str, int]]:
+    """What was hidden, what was said, how often; without places."""
+
+    def said(r: Record) -> str:
+        return " + ".join(r["effects"]) if r["verdict"] == "effect" else str(r["verdict"])
+
+    def bare(name: str) -> str:
+        return " + ".join(sorted(part.partition(".")[0] for part in name.split(" + ")))
+
+    pairs = Counter((bare(r["truth"]), bare(said(r))) for r in records)
+    yield from ((truth, word, n) for (truth, word), n in sorted(pairs.items()))

@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cases: a drawn rig, what is wrong with it and how plainly that shows, what is played, and the files of all that."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path as File
+from typing import Any
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from drawn_rigs.commands import SHARES, STYLES
+from drawn_rigs.effects import CONTAINED_BY, Form, forms_of
+from drawn_rigs.files import write_bags, write_rig
+from drawn_rigs.physics import Array, DivergedError
+from drawn_rigs.reading import library_names
+from drawn_rigs.reality import Plan, Reality, clean, record
+from drawn_rigs.rigs import LAWS, PLANTS, Rig, draw_rig
+
+COUNTS = {"single": 1, "healthy": 0, "pair": 2, "left_out": 1, "outside": 1}  # of what is wrong
+KINDS = {"single": 0.38, "healthy": 0.2, "pair": 0.12, "left_out": 0.15, "outside": 0.15}
+RATES = (50.0, 100.0, 100.0, 125.0, 200.0, 250.0, 500.0)  # Hz
+VISIBLE = (0.3, 30.0)  # times the floor, between which strengths are drawn; pairs from 3 on
+PAIRS_FROM = 3.0
+MESSAGES = 16_000  # in a case's bags; more trials are not drawn
+ENOUGH = 0.5  # of the least visibility; what cannot even show that much is not hidden in that rig
+LADDER = 7  # strengths tried before the one that shows as it should
+SECANTS = 2
+SETTLED = 0.25  # s from a trial's start that do not count: a model starts where the sensors say
+REPLICAS = 4  # trials from which the noise floor is taken
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One thing that is wrong.
+
+    Attributes:
+        effect, place, form: what, where, and which form of it.
+        strength: in the form's own unit.
+        deviation: by how much it moves the positions, root mean square over the floor of the mean of the trials.
+        visibility: the same, after all that other values of the drive and the stated ones can make up for.
+        period: rad, of what goes by waves over the angle; 0 for the others.
+    """
+
+    effect: str
+    place: str
+    form: str
+    strength: float
+    deviation: float
+    visibility: float
+    period: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """effect.place, as a verdict names it."""
+        return f"{self.effect}.{self.place}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case.
+
+    Attributes:
+        seed: everything follows from it.
+        kind: "single", "healthy", "pair", "left_out" (of the library) or "outside" (it).
+        rig, law: kinds of rig and drive.
+        hidden: what is wrong; nothing where healthy.
+        only: names of the effects that may be considered, None for all.
+        model: file of the model; `bags` those of the recordings.
+        styles: of the commands, one for each play.
+        rate, trials: Hz of the readings; trials of each play.
+        fresh: bags of one more command, that nobody fits; none unless asked for.
+    """
+
+    seed: int
+    kind: str
+    rig: str
+    law: str
+    hidden: tuple[Hidden, ...]
+    only: tuple[str, ...] | None
+    model: File
+    bags: tuple[File, ...]
+    styles: tuple[str, ...]
+    rate: float
+    trials: int
+    fresh: tuple[File, ...] = ()
+
+    @property
+    def truth(self) -> str:
+        """The hypothesis that is true: "none", "unknown", or the effects' names."""
+        if self.kind in ("outside", "left_out"):
+            return "unknown"
+        return " + ".join(sorted(h.name for h in self.hidden)) or "none"
+
+    def to_json(self) -> dict[str, Any]:
+        """What a record keeps of it."""
+        return {
+            "seed": self.seed, "kind": self.kind, "truth": self.truth, "rig": self.rig, "law": self.law,
+            "hidden": [asdict(h) for h in self.hidden], "styles": list(self.styles), "rate": self.rate,
+            "trials": self.trials,
+        }  # fmt: skip
+
+
+def draw(
+    seed: int, folder: File, rig: str | None = None, kind: str | None = None, effect: str | None = None,
+    fresh: bool = False,
+) -> Case:  # fmt: skip
+    """The case of a seed; its files are written into a folder.
+
+    Args:
+        rig: kind of rig instead of a drawn one; likewise `kind` of case.
+        effect: what is hidden, instead of something drawn.
+        fresh: record one more command.
+    """
+    rng = np.random.default_rng([seed, 19])
+    chosen = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    drawn_rig, law = str(rng.choice(list(PLANTS))), str(rng.choice(LAWS))
+    kind, rig = kind or chosen, rig or drawn_rig
+    while True:  # a rig with all that is drawn may be one that nobody would run
+        try:
+            return _draw(rng, seed, folder, kind, rig, law, effect, fresh)
+        except DivergedError:
+            continue
+
+
+def _draw(
+    rng: np.random.Generator, seed: int, folder: File, kind: str, rig_kind: str, law: str, effect: str | None,
+    fresh: bool,
+) -> Case:  # fmt: skip
+    rig = draw_rig(rng, rig_kind, law)
+    rate, seconds = float(rng.choice(RATES)), float(rng.uniform(6.0, 12.0))
+    plays = 1 if rng.random() < 0.7 else 2
+    most = max(1, int(MESSAGES / plays / (seconds * rate)))
+    trials = min(int(rng.integers(1, 11)), most)
+    styles = tuple(str(s) for s in rng.choice(list(STYLES), plays, p=[SHARES[s] for s in STYLES]))
+    plans = [_plan(rng, rig, style, rate, seconds) for style in styles]
+    floors = _floors(rig, plans[0], trials, seed)
+    reality, hidden = rig.reality, []
+    for form, axis, place in _possible(rng, rig, kind):
+        if len(hidden) == COUNTS[kind]:
+            break
+        if effect and form.effect != effect:
+            continue
+        low = PAIRS_FROM if kind == "pair" else VISIBLE[0]
+        wanted = float(np.exp(rng.uniform(np.log(low), np.log(VISIBLE[1]))))
+        shape = rng.random(5)
+        sign = float(rng.choice([-1.0, 1.0])) if form.signed else 1.0
+        found = calibrated(rig, plans[0], floors, form, axis, place, wanted, sign, shape)
+        if found.visibility >= ENOUGH * low:  # no motion of this rig shows the others
+            reality = form.apply(rig, reality, axis, place, sign * found.strength, shape)
+            hidden.append(replace(found, period=_period(reality, form.effect, axis)))
+    folder.mkdir(parents=True, exist_ok=True)
+    marked = bool(rng.random() < 0.7)
+    bags: list[File] = []
+    for number, (style, plan) in enumerate(zip(styles, plans, strict=True)):
+        trial_seed = seed * 10 + number
+        recorded = record(reality, plan, trials, trial_seed)
+        bags += write_bags(folder, rig, f"{style}_{number}", recorded, plan.seconds, marked)
+    only = None
+    if kind == "left_out":
+        gone = {hidden[0].effect, *CONTAINED_BY.get(hidden[0].effect, ())}
+        only = tuple(name for name in library_names() if name not in gone)
+    model = write_rig(folder, rig, rate)
+    more = _fresh(seed, folder, rig, reality, styles, rate, seconds, trials) if fresh else ()
+    return Case(seed, kind, rig.kind, law, tuple(hidden), only, model, tuple(bags), styles, rate, trials, more)
+
+
+def _fresh(
+    seed: int, folder: File, rig: Rig, reality: Reality, played: Sequence[str], rate: float, seconds: float, trials: int
+) -> tuple[File, ...]:
+    """Bags of one more command, of a style that was not played; none where the rig does not survive it."""
+    rng = np.random.default_rng([seed, 20])
+    style = str(rng.choice([s for s in STYLES if s not in played and s != "paper"]))
+    plan = _plan(rng, rig, style, rate, seconds)
+    try:
+        recorded = record(reality, plan, trials, seed * 10 + 8)
+    except DivergedError:
+        return ()
+    return tuple(write_bags(folder, rig, f"{style}_fresh", recorded, plan.seconds, True))
+
+
+PERIODS = {"cogging": "cogging_period", "eccentric_gear": "uneven_period", "tight_places": "tight_period"}
+
+
+def _period(reality: Reality, effect: str, axis: int) -> float:
+    """rad, of the waves that an effect makes over the angle; 0 where it makes none."""
+    if effect not in PERIODS:
+        return 0.0
+    ripples = [s.ripple_period for s in reality.sensors.values() if s.axis == axis and s.ripple]
+    return float(ripples[0] if ripples else reality.physics.of(axis, PERIODS[effect]))
+
+
+def _plan(rng: np.random.Generator, rig: Rig, style: str, rate: float, seconds: float) -> Plan:
+    sending = rate if rng.random() < 0.6 else min(rate, 100.0)
+    times = np.arange(0.0, seconds, 1.0 / sending)
+    targets = STYLES[style](rng, times, np.array(rig.reach))
+    step = 1.0 / max(rate, sending)
+    return Plan(
+        times, targets, seconds, rate,
+        send_jitter=step * float(rng.choice([0.0, rng.uniform(0.0, 0.1)])),
+        stamp_jitter=step * float(rng.choice([0.0, rng.uniform(0.0, 0.03)])),
+    )  # fmt: skip
+
+
+def _possible(rng: np.random.Generator, rig: Rig, kind: str) -> Iterator[tuple[Form, int, str]]:
+    """Forms with their axis and place, one of each effect, in a drawn order."""
+    possible = forms_of(rig, outside=kind == "outside")
+    for name in rng.permutation(sorted({form.effect for form, _, _ in possible})) if COUNTS[kind] else ():
+        own = [entry for entry in possible if entry[0].effect == name]
+        way = str(rng.choice(sorted({entry[0].name for entry in own})))
+        places = [entry for entry in own if entry[0].name == way]
+        yield places[int(rng.integers(len(places)))]
+
+
+def _floors(rig: Rig, plan: Plan, trials: int, seed: int) -> dict[str, float]:
+    """Noise floor of the mean of the trials, of every position."""
+    runs = record(rig.reality, plan, REPLICAS, seed * 10 + 9)
+    still = clean(rig.reality, plan)
+    times = np.arange(len(next(iter(still.values())))) / plan.rate
+    found = {}
+    for name, sensor in rig.reality.sensors.items():
+        if sensor.quantity in ("motor", "load"):
+            inside = (times > SETTLED) & (times < plan.seconds - 0.1)
+            on_grid = np.array([np.interp(times, run.stamps, run.readings[name])[inside] for run in runs])
+            varies = float(np.mean(np.var(on_grid, axis=0, ddof=1)))
+            # Of the ticks' error that part remains in a mean which noise does not spread (Widrow and Kollar 2008).
+            stays = sensor.tick**2 / 12 * float(np.exp(-((2 * np.pi * sensor.noise / sensor.tick) ** 2)))
+            found[name] = float(np.sqrt(max(varies, stays) / trials + stays * (1 - 1 / trials)))
+    return found
+
+
+def calibrated(
+    rig: Rig, plan: Plan, floors: dict[str, float], form: Form, axis: int, place: str, wanted: float, sign: float,
+    shape: Array,
+) -> Hidden:  # fmt: skip
+    """The strength at which a form shows `wanted` times the floor, as nearly as its range allows."""
+    before = form.before(rig.reality, axis) if form.before else rig.reality
+    healthy = _stacked(clean(before, plan), floors, plan)
+    slopes, low, high = _slopes(rig, before, plan, floors, healthy, axis)
+
+    def shows(strength: float) -> tuple[float, float]:
+        try:
+            changed = form.apply(rig, before, axis, place, sign * strength, shape)
+            apart = _stacked(clean(changed, plan), floors, plan) - healthy
+        except DivergedError:
+            return np.inf, np.inf
+        left = apart
+        if slopes.size:
+            left = apart - slopes @ lsq_linear(slopes, apart, bounds=(low, high)).x
+        return _size(apart, floors), _size(left, floors)
+
+    below: tuple[float, tuple[float, float]] | None = None
+    above: tuple[float, tuple[float, float]] | None = None
+    for strength in np.geomspace(form.low, form.high, LADDER):
+        seen = shows(float(strength))
+        if not np.isfinite(seen[1]):
+            break
+        if seen[1] >= wanted:
+            above = float(strength), seen
+            break
+        below = float(strength), seen
+    if above is None or below is None:
+        strength, seen = above or below or (form.low, (0.0, 0.0))
+        return Hidden(form.effect, place, form.name, strength, *seen)
+    for _ in range(SECANTS):
+        rise = np.log(above[1][1] / max(below[1][1], 1e-9))
+        share = np.clip(np.log(wanted / max(below[1][1], 1e-9)) / max(rise, 1e-9), 0.05, 0.95)
+        strength = float(below[0] * (above[0] / below[0]) ** share)
+        seen = shows(strength)
+        below, above = ((strength, seen), above) if seen[1] < wanted else (below, (strength, seen))
+    return Hidden(form.effect, place, form.name, strength, *seen)
+
+
+def _slopes(
+    rig: Rig, before: Reality, plan: Plan, floors: dict[str, float], healthy: Array, axis: int
+) -> tuple[Array, Array, Array]:
+    """(N, k) change of the positions with each value that a refit may move, scaled to steps, and its bounds (k,)."""
+    columns, low, high = [], [], []
+    coupled = rig.kind == "two_link_arm"
+    for loose in rig.loose:
+        if loose.axis != axis and not coupled:
+            continue
+        own = before.paths[loose.axis].delay if loose.name == "delay" else before.physics.of(loose.axis, loose.name)
+        shift = loose.step
+        if loose.name == "delay":
+            bounds = -own, max(rig.reality.paths[loose.axis].delay + loose.high - own, 0.0)
+            shift = loose.step if bounds[1] > loose.step else -loose.step
+            moved = before.with_path(loose.axis, delay=own + shift)
+        else:
+            bounds = loose.low, loose.high
+            moved = before.with_axis(loose.axis, **{loose.name: own + shift})
+        if bounds[0] == bounds[1]:
+            continue
+        try:
+            columns.append((_stacked(clean(moved, plan), floors, plan) - healthy) / shift * loose.step)
+        except DivergedError:
+            continue
+        low.append(min(bounds[0] / loose.step, -1e-9))
+        high.append(max(bounds[1] / loose.step, 1e-9))
+    if not columns:
+        return np.empty((len(healthy), 0)), np.empty(0), np.empty(0)
+    return np.column_stack(columns), np.array(low), np.array(high)
+
+
+def _stacked(readings: dict[str, Array], floors: dict[str, float], plan: Plan) -> Array:
+    """(N,) all positions over their floors, from where a start has been forgotten."""
+    first = int(SETTLED * plan.rate)
+    return np.concatenate([readings[name][first:] / floor for name, floor in floors.items()])
+
+
+def _size(apart: Array, floors: dict[str, float]) -> float:
+    """Root mean square of the signal that differs most."""
+    return float(np.sqrt(np.max(np.mean(apart.reshape(len(floors), -1) ** 2, axis=1))))

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All that this benchmark takes from the programs that it judges: the bag's way in and out, and the diagnosis."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from eps_tunnel_analysis.diagnose.addition import add_effects
+from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.law.proposal import Proposal, propose_on
+from eps_tunnel_analysis.law.refit import floors_on, with_effect_fitted
+from eps_tunnel_analysis.recording.decode import read_all
+from eps_tunnel_analysis.recording.decode import typestore as _typestore
+from eps_tunnel_analysis.recording.trials import to_plays
+from eps_tunnel_analysis.recording.writer import BagWriter
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.effect import effects
+from labyrinth_sim.model import Model, load_model
+
+__all__ = ["BagWriter", "Diagnosis", "Model", "Play", "Proposal", "add_effects", "diagnose", "floors_on",
+           "library_names", "loaded", "propose_on", "typestore", "with_effect_fitted"]  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Any:
+    """Message types of ROS 2 and of labyrinth_msgs."""
+    return _typestore()
+
+
+def loaded(model: Path, bags: Sequence[Path]) -> tuple[Model, list[Play]]:
+    """A model and the plays of bags, as the command line reads them, at the rig's own rate."""
+    known = load_model(model)
+    return known, list(to_plays(read_all(bags), known.rig, rate=1.0 / known.rig.sample_time).plays)
+
+
+def library_names() -> tuple[str, ...]:
+    """Names of the library's effects on axes and sensors; those on the ball concern no drawn rig, and free curves are
+    no names.
+    """
+    known = {name: effect for name, effect in effects().items() if not effect.nameless}
+    return tuple(name for name, effect in known.items() if effect.where != "ball" and "ball" not in effect.needs)

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is found of an effect that the library does not have: its variable, its period, how much of the gap it closes.
+
+    python benchmarks/law.py --cases 200 --seed 100000 --workers 16 --json out.json
+
+Of three cases in a row one is a healthy rig, one has something outside the library, and one has an effect of the
+library that is left out. Cases are those of benchmarks/drawn_rigs. One more command of another style is recorded, never
+fitted, and judges what is proposed: by how much the error falls there, against the true form fitted to the same plays,
+or against the noise where the library has no true form. Instead of a whole diagnosis only the base values are refitted
+before: quickly, or with --thorough from as many starts as a diagnosis does. Seeds below 100000 are there to tune on.
+
+A run that is cut off keeps what it has: the JSON file is written anew after each case, and --continue goes on.
+"""
+
+import argparse
+import multiprocessing
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from counting import VISIBLE, wilson
+from diagnosis import earlier, write
+from drawn_rigs.cases import Case, draw
+from drawn_rigs.reading import Model, Play, floors_on, loaded, propose_on, with_effect_fitted
+
+TUNING = 100_000
+KINDS = ("healthy", "outside", "left_out")
+PERIOD = 0.03  # relative error that is still right
+HALF = 0.5  # of what the true form takes away on another command
+WORTH = 2.0  # floors left there at least; of less there is nothing to take away
+SHOWS = 1.6  # floors that a refitted model leaves, beyond which anything is said at all
+RIGHT = {
+    "cogging": {"curve_angle"},
+    "eccentric_gear": {"curve_sensor", "curve_angle"},
+    "quadratic_drag": {"curve_speed"},
+    "tight_places": {"curve_angle_friction"},
+    "other_axis_friction": {"curve_other_friction"},
+    "thermal_drift": {"curve_time_friction", "curve_time"},
+    "coulomb_friction": {"curve_speed"},
+    "viscous_friction": {"curve_speed"},
+    "stribeck_friction": {"curve_speed"},
+    "direction_friction": {"curve_speed"},
+    "direction_viscous_friction": {"curve_speed"},
+    "lugre_friction": {"curve_speed", "curve_reversal"},
+    "load_friction": {"curve_load_friction"},
+    "directional_load_friction": {"curve_load_friction"},
+    "gravity_load": {"curve_angle"},
+    "return_spring": {"curve_angle"},
+    "positioning_error": {"curve_angle"},
+    "cross_coupling": {"curve_other"},
+    "sensor_gain": {"curve_sensor"},
+    "sensor_bias": {"curve_sensor"},
+}
+"""Effect -> free curves whose variable is the one that it depends on; what is not listed depends on none of them."""
+
+Record = dict[str, Any]
+
+
+def judge(seed: int, threads: int, thorough: bool, effect: str | None) -> Record:
+    """One case from its bags to what is proposed."""
+    started = time.process_time()
+    kind = KINDS[seed % len(KINDS)]
+    with tempfile.TemporaryDirectory() as folder:
+        case = draw(seed, Path(folder), kind=kind, effect=None if kind == "healthy" else effect, fresh=True)
+        record: Record = {**case.to_json(), "visibility": min((h.visibility for h in case.hidden), default=0.0)}
+        try:
+            record |= _said(case, threads, thorough)
+        except Exception as error:  # a case that breaks is a result, and the others are to be run
+            record |= {"error": f"{type(error).__name__}: {error}", "proposals": []}
+    return record | {"seconds": time.process_time() - started}
+
+
+def _said(case: Case, threads: int, thorough: bool) -> Record:
+    model, plays = loaded(case.model, case.bags)
+    base, proposals = propose_on(model, plays, threads, case.seed, thorough)
+    other = loaded(case.model, case.fresh)[1] if case.fresh else []
+    said = []
+    for proposal in proposals:
+        first = proposal.depends.first
+        one: Record = {
+            "axis": proposal.axis, "place": proposal.place, "kind": proposal.kind, "equation": proposal.equation,
+            "curve": first.curve if first else "", "period": first.period if first else None,
+            "ties": [d.curve for d in proposal.depends.ties], "share": first.share if first else 0.0,
+            "chance": proposal.depends.chance, "floors": list(proposal.missing.floors),
+        }  # fmt: skip
+        if other and proposal.model is not None:
+            one["other_command"] = [floors_on(m, other, proposal.axis, threads) for m in (base, proposal.model)]
+        said.append(one)
+    record: Record = {"proposals": said}
+    axis = _axis(model, case)
+    if other and axis:
+        record["base_on_other"] = floors_on(base, other, axis, threads)
+        record["base_on_own"] = floors_on(base, plays, axis, threads)
+        if case.kind == "left_out" and record["base_on_own"] > SHOWS:
+            record["true_on_other"] = floors_on(_true_form(base, plays, axis, case, threads), other, axis, threads)
+    return record
+
+
+def _axis(model: Model, case: Case) -> str:
+    """The axis on which something is hidden; "" on a healthy rig."""
+    place = case.hidden[0].place if case.hidden else ""
+    return next((a.name for a in model.rig.axes if place == a.name or place in [m.signal for m in a.measured]), "")
+
+
+def _true_form(base: Model, plays: Sequence[Play], axis: str, case: Case, threads: int) -> Model:
+    return with_effect_fitted(base, plays, axis, case.hidden[0].name, threads)
+
+
+def figures(records: Sequence[Record]) -> dict[str, Any]:
+    """Key -> rate or median, with _n and _interval.
+
+    A case is visible by what the true rig's own values cannot make up for; `_shown` counts only those of which the
+    refitted model leaves more than noise, for of the others nothing can be said.
+    """
+    visible = [r for r in records if r["kind"] != "healthy" and r["visibility"] > VISIBLE]
+    shown = [r for r in visible if r.get("base_on_own", 0.0) > SHOWS]
+    healthy = [r for r in records if r["kind"] == "healthy"]
+    waves = [(_of(r).get("period"), r["hidden"][0]["period"]) for r in shown if r["hidden"][0]["period"]]
+    errors = [abs(p / true - 1.0) for p, true in waves if p]
+    found: dict[str, Any] = {}
+    for key, hits in {
+        "variable_right": [_is_right(r) for r in visible if r["hidden"][0]["effect"] in RIGHT],
+        "variable_right_shown": [_is_right(r) for r in shown if r["hidden"][0]["effect"] in RIGHT],
+        "variable_among_shown": [_is_among(r) for r in shown if r["hidden"][0]["effect"] in RIGHT],
+        "half_of_true_form": [h for r in visible if (h := _is_half(r)) is not None],
+        "half_of_true_form_shown": [h for r in shown if (h := _is_half(r)) is not None],
+        "healthy_silent": [not any(p["kind"] for p in r["proposals"]) for r in healthy],
+        "period_right": [e <= PERIOD for e in errors],
+        "failed": ["error" in r for r in records],
+    }.items():
+        found[key] = float(np.mean(hits)) if hits else None
+        found[f"{key}_n"] = len(hits)
+        found[f"{key}_interval"] = list(wilson(sum(hits), len(hits))) if hits else None
+    found["period_error"] = float(np.median(errors)) if errors else None
+    found["period_error_n"] = len(errors)
+    found["period_error_interval"] = [float(np.quantile(errors, q)) for q in (0.05, 0.95)] if errors else None
+    return found
+
+
+def _is_right(record: Record) -> bool:
+    return _of(record).get("curve") in RIGHT[record["hidden"][0]["effect"]]
+
+
+def _is_among(record: Record) -> bool:
+    """Whether the right variable is among those that are said not to be told apart."""
+    said = _of(record)
+    return bool({said.get("curve"), *said.get("ties", ())} & RIGHT[record["hidden"][0]["effect"]])
+
+
+def _is_half(record: Record) -> bool | None:
+    """Whether the error on another command falls by half of what the true form takes away; None if that is nothing."""
+    before = record.get("base_on_other")
+    if before is None or before < WORTH:
+        return None
+    true = record.get("true_on_other", 1.0)
+    if before - true < HALF * before:
+        return None  # the true form, fitted to what was played, does not hold there either
+    after = _of(record).get("other_command", (before, before))[1]
+    return bool(before - after >= HALF * (before - true))
+
+
+def _of(record: Record) -> Record:
+    """What was said of the axis on which something is hidden; empty where nothing was."""
+    place = record["hidden"][0]["place"]
+    own = [p for p in record["proposals"] if p["axis"] == place or p["axis"] == place.rpartition("_")[2]
+           or place.startswith(p["axis"])]  # fmt: skip
+    return own[0] if own else {}
+
+
+def judged(seeds: Sequence[int], given: argparse.Namespace) -> Iterator[Record]:
+    """Cases as they are done."""
+    judge_one = partial(judge, threads=given.threads, thorough=given.thorough, effect=given.effect)
+    if given.workers == 1:
+        yield from map(judge_one, seeds)
+        return
+    with ProcessPoolExecutor(given.workers, multiprocessing.get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(judge_one, seed) for seed in seeds]):
+            yield done.result()
+
+
+def main() -> None:
+    """Runs the cases and prints the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=TUNING, help="of the first case; the others follow")
+    parser.add_argument("--effect", help="this effect only, outside the library or of it; healthy rigs stay healthy")
+    parser.add_argument("--thorough", action="store_true", help="refit base values as a diagnosis does")
+    parser.add_argument("--threads", type=int, default=1, help="of each case; 0 for one per CPU")
+    parser.add_argument("--workers", type=int, default=1, help="cases side by side")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--continue", dest="goes_on", action="store_true", help="keep the cases that --json holds")
+    given = parser.parse_args()
+    if given.goes_on and not given.json:
+        parser.error("--continue needs --json with the file of an earlier run.")
+    if given.seed < TUNING:
+        print(f"Note: seeds below {TUNING} are there to tune on; these figures flatter what is found.")
+    settings = {"seed": given.seed, "effect": given.effect, "thorough": given.thorough}
+    records = earlier(given.json, settings) if given.goes_on else []
+    done = {r["seed"] for r in records}
+    seeds = [seed for seed in range(given.seed, given.seed + given.cases) if seed not in done]
+    for number, record in enumerate(judged(seeds, given), start=1):
+        records = sorted([*records, record], key=lambda r: r["seed"])
+        said = "; ".join(f"{p['axis']}: {p['curve'] or '-'} {p['kind']} {p['equation']} {p['floors'][0]:.3g} floors"
+                         for p in record["proposals"])  # fmt: skip
+        hidden = ", ".join(f"{h['effect']}.{h['place']}" for h in record["hidden"]) or "nothing"
+        print(f"[{number}/{len(seeds)}] {record['seed']} {hidden} ({record['visibility']:.1f} x floor) -> "
+              f"{record.get('error') or said or 'silent'} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
+        if given.json:
+            write(given.json, {**settings, "figures": figures(records), "cases": records})
+    for key, value in figures(records).items():
+        print(f"{key:30s}{value}")
+
+
+if __name__ == "__main__":
+    main()

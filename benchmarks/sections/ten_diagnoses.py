@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Seconds of a diagnosis over those of 1,000 bare roll-outs of the same play in the C loop, on as many cores.
+
+Ten fixed cases on the emulated testbed: five trials of excite_12s, the whole library.
+"""
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parent))
+from batch import build_loop, run_loop
+from testbed_cases import draw, play, rig
+
+from eps_tunnel_analysis.diagnose.diagnose import diagnose
+from eps_tunnel_analysis.sequence_file import find_sequence
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_hw.testbed.hidden import hide
+from labyrinth_sim.model import Model
+from labyrinth_sim.simulate import even_timestep
+
+ROLLOUTS = 1000
+SEED = 9500  # of the first case's noise and wrong drive values; the others follow
+CASES = {
+    "healthy": (),
+    "backlash": (("backlash", "x"),),
+    "coulomb_friction": (("coulomb_friction", "y"),),
+    "gravity_load": (("gravity_load", "y"),),
+    "command_delay": (("command_delay", "x"),),
+    "sensor_lag": (("sensor_lag", "board_x"),),
+    "pair": (("return_spring", "x"), ("dead_band", "y")),
+    "supply_sag": (("supply_sag", "x"),),
+    "torque_saturation": (("torque_saturation", "y"),),
+    "outside": (("cogging", "x"),),
+}
+
+
+def measure() -> dict[str, float]:
+    """`diagnosis_vs_1000_rollouts`, the median, `worst_vs_1000_rollouts`, and each case's own."""
+    sequence = find_sequence("excite_12s").commands[0]
+    ratios, seconds = {}, []
+    with tempfile.TemporaryDirectory() as folder:
+        program = build_loop(Path(folder))
+        for number, (name, hidden) in enumerate(CASES.items()):
+            model = draw(SEED + number)[2]
+            recorded = play(rig(tuple(hide(*one) for one in hidden)), sequence, SEED + number)
+            # Before and after, so that other work on the machine meets both alike.
+            bare = [seconds_of_loop(program, model, recorded, Path(folder))]
+            seconds.append(seconds_of_diagnosis(model, recorded))
+            bare.append(seconds_of_loop(program, model, recorded, Path(folder)))
+            ratios[name] = seconds[-1] / float(np.mean(bare))
+            print(f"  {name}: {ratios[name]:.3g}", file=sys.stderr, flush=True)
+    every = list(ratios.values())
+    return {
+        "diagnosis_vs_1000_rollouts": float(np.median(every)),
+        "worst_vs_1000_rollouts": max(every),
+        "diagnosis_seconds": float(np.median(seconds)),
+        **{f"diagnosis_vs_1000_rollouts_{name}": ratio for name, ratio in ratios.items()},
+    }
+
+
+def seconds_of_diagnosis(model: Model, recorded: Play) -> float:
+    started = time.perf_counter()
+    diagnose(model, [recorded], experiments=False)
+    return time.perf_counter() - started
+
+
+def seconds_of_loop(program: Path, model: Model, recorded: Play, folder: Path) -> float:
+    """What the C loop takes for 1,000 roll-outs of a play at MuJoCo's own step."""
+    grid = recorded.trials.time
+    sample = float(grid[1] - grid[0])
+    steps = (len(grid) - 1) * round(sample / even_timestep(sample, None, model, False))
+    return ROLLOUTS * steps / run_loop(program, model, folder)
+
+
+if __name__ == "__main__":
+    for key, value in measure().items():
+        print(f"{key:50s} {value:.6g}")

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several commands share."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from eps_tunnel_analysis.inputs import Reading
+    from eps_tunnel_analysis.loop.reason import DiagnosisOptions
+
+
+def add_bag_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
+    """--real and how bags are read; the same for every command that reads them."""
+    parser.add_argument("--real", nargs="+", metavar="BAG", required=required, type=Path,
+                        help="recordings of the real rig: rosbag2 folders, .mcap or .db3 files, or folders of those; "
+                        "each bag is a trial, or holds trials marked on NS/trial")  # fmt: skip
+    add_reading_arguments(parser)
+
+
+def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+    """How bags are read, for `reading_of`."""
+    reading = parser.add_argument_group("reading bags")
+    reading.add_argument("--rig", metavar="R", help="rig that says what is measured on which topic: a name in "
+                         "config/rigs or a file (default: the model's rig, else all that the bags offer)")  # fmt: skip
+    reading.add_argument("--signals", nargs="+", metavar="SIGNAL", help="which to compare (default: every position)")
+    reading.add_argument("--time-source", choices=("header", "log"), default="header",
+                         help="clock to trust: the stamp set where the value was measured, or the time at which it "
+                         "was recorded (default: %(default)s)")  # fmt: skip
+    reading.add_argument("--rate", type=within(0.1, 1e5, "Hz"), metavar="HZ",
+                         help="Hz, of the common grid (default: the rig's own, 100 without one)")  # fmt: skip
+    reading.add_argument("--max-gap", type=within(1e-4, 3600.0, "s"), default=0.1, metavar="S",
+                         help="longest pause in seconds that is bridged by a straight line; samples in longer ones "
+                         "count as unseen (default: %(default)g)")  # fmt: skip
+    reading.add_argument("--cut-to-shortest", action="store_true",
+                         help="cut trials of different length to the shortest instead of refusing them")  # fmt: skip
+
+
+def add_model_arguments(parser: argparse.ArgumentParser, group: Any = None) -> None:
+    """--model, required or else one of a group of alternatives, and --effects."""
+    (parser if group is None else group).add_argument(
+        "--model",
+        metavar="M",
+        required=group is None,
+        help="model to simulate: a name in config/models or a file; it is played with the recorded commands from the "
+        "recorded first pose",
+    )
+    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with effect files of your own")
+
+
+def add_known_argument(parser: argparse.ArgumentParser) -> None:
+    """--known."""
+    parser.add_argument(
+        "--known",
+        nargs="+",
+        metavar="PATTERN:NAME=VALUE",
+        help="what was set differently in some bags: those whose path matches PATTERN were recorded with this value, "
+        "as '*kp_100*:drive.pendulum.kp=100'; a file known.yaml in or beside a bag says so for good, a line each as "
+        "'drive.pendulum.kp: 100'",
+    )
+
+
+def add_held_out_argument(parser: argparse.ArgumentParser) -> None:
+    """--held-out."""
+    parser.add_argument(
+        "--held-out", nargs="+", metavar="BAG", type=Path, help="recordings that are never fitted, only judged"
+    )
+
+
+def add_known_arguments(parser: argparse.ArgumentParser) -> None:
+    """--known, --timing-ms and --held-out."""
+    add_known_argument(parser)
+    parser.add_argument(
+        "--timing-ms",
+        dest="timing",
+        type=_milliseconds,
+        metavar="MS",
+        help="uneven timing of commands or samples within trials that this rig is known to have; more counts as "
+        "something missing (default: 0.29 of a sample; beside nodes, which share a computer, 10)",
+    )
+    add_held_out_argument(parser)
+
+
+def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
+    """--known, --timing-ms, --held-out, --seed, --threads, --progress."""
+    add_known_arguments(parser)
+    parser.add_argument("--seed", type=int, default=0, help="kept with the result (default: %(default)s)")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="of this machine (default: all, beside nodes all but one)"
+    )
+    parser.add_argument("--progress", choices=("bar", "lines"), default="bar",
+                        help="on stderr: a bar, or lines of JSON for programs (default: %(default)s)")  # fmt: skip
+
+
+def reading_of(arguments: argparse.Namespace) -> "Reading":
+    """How the arguments of `add_reading_arguments` want bags read."""
+    from eps_tunnel_analysis.inputs import Reading
+
+    signals = None if arguments.signals is None else tuple(arguments.signals)
+    return Reading(
+        arguments.rig, signals, arguments.time_source, arguments.rate, arguments.max_gap, arguments.cut_to_shortest
+    )
+
+
+def diagnosis_options(arguments: argparse.Namespace, timing: float = 0.0, threads: int = 0) -> "DiagnosisOptions":
+    """What the arguments of a command that diagnoses say; `timing` (s) and `threads` hold where they say nothing."""
+    from eps_tunnel_analysis.loop.reason import DiagnosisOptions
+
+    candidates = getattr(arguments, "candidates", None)
+    return DiagnosisOptions(
+        tuple(candidates) if candidates else None, arguments.seed, arguments.threads or threads,
+        timing if arguments.timing is None else arguments.timing, reading_of(arguments), arguments.effects,
+        tuple(arguments.known or ()), tuple(arguments.held_out or ()),
+    )  # fmt: skip
+
+
+def positive(text: str) -> float:
+    """An argparse type: a number above 0."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be a number above 0, got {text}")
+    return value
+
+
+def within(low: float, high: float, unit: str) -> Callable[[str], float]:
+    """An argparse type: a number within bounds, which the message names with their unit."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"must lie between {low:g} and {high:g} {unit}, got {text}")
+        return value
+
+    return number
+
+
+def at_least_one(text: str) -> int:
+    """An argparse type: a whole number from 1 on."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got '{text}'")
+    return int(text)
+
+
+def _milliseconds(text: str) -> float:
+    """In s."""
+    value = float(text)
+    if not 0.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected milliseconds from 0 on, got {text}")
+    return value / 1e3

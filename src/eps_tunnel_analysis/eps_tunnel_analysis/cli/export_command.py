@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""export: what was learned, in the user's own simulator."""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from eps_tunnel_analysis.outputs import json_text, refuse_files
+from eps_tunnel_analysis.terminal import console, table
+from labyrinth_sim.whole_file import write_new
+
+NAME = "export"
+HELP = "Writes a model as an MJCF, and a Python module for what acts between MuJoCo's steps."
+EPILOG = """\
+examples:
+  eps-tunnel export --model better.yaml --mjcf better.xml
+
+The MJCF has all that MuJoCo can say: inertia, friction, springs, belts, actuators with their limits. What it cannot
+say (delays, backlash without a belt, friction that depends on load) is in the module better_effects.py beside it,
+which needs numpy and mujoco only: Simulation(model, data).step(target) steps one sample. No module is written where
+none is needed; each actuator's control is then its axis's target."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--model", metavar="M", required=True, help="a name in config/models or a file")
+    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with effect files of your own")
+    parser.add_argument("--mjcf", metavar="FILE", type=Path, required=True, help="MJCF to write")
+    parser.add_argument("--module", metavar="FILE", type=Path,
+                        help="module to write where one is needed (default: FILE_effects.py)")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print where each value went as JSON, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    from labyrinth_sim.export.export import export
+    from labyrinth_sim.model import load_model
+
+    module = arguments.module or arguments.mjcf.with_name(f"{arguments.mjcf.stem}_effects.py")
+    refuse_files(arguments.mjcf, module)
+    exported = export(load_model(arguments.model, arguments.effects))
+    arguments.mjcf.parent.mkdir(parents=True, exist_ok=True)
+    write_new(arguments.mjcf, exported.mjcf, "--mjcf")
+    if exported.module:
+        write_new(module, exported.module, "--module")
+    files = {"mjcf": str(arguments.mjcf), "module": str(module) if exported.module else None}
+    if arguments.json:
+        print(json_text({"command": NAME, **files, "values": [asdict(p) for p in exported.placements]}), end="")
+        return
+    rows = [(p.name, p.where, p.how, f"{p.value:.5g}", p.unit) for p in exported.placements]
+    table(console(), "Where each value went", ("value", "file", "by", "number", "unit"), rows, left=3)
+    console().print(f"MJCF: {files['mjcf']}", soft_wrap=True)
+    told = f"Module: {files['module']}" if exported.module else "No module is needed: the controls are the targets."
+    console().print(told, soft_wrap=True)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""new-rig: a robot's own model and recordings to a rig and a model, then the check."""
+
+import argparse
+import shlex
+from pathlib import Path
+
+from eps_tunnel_analysis.outputs import new_folder, refuse_existing
+from eps_tunnel_analysis.terminal import console, rollout_progress
+
+NAME = "new-rig"
+HELP = "Writes rig and model files from a robot's MJCF or URDF and its recordings, and checks them."
+EPILOG = """\
+examples:
+  eps-tunnel new-rig arm.xml --bag bags/run1 bags/run2 --out arm
+  eps-tunnel new-rig so101.urdf --lerobot ~/datasets/so101_pick --position-unit deg --out so101
+  eps-tunnel new-rig gantry.xml --csv logs/*.csv --match slide=x_axis --out gantry
+
+Joints are matched by name. files in --out: rig.yaml and model.yaml with a reason beside every value; robot.xml where
+the model lacks actuators; bags made of tables. Nothing is fitted yet: calibrate or diagnose does that."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("robot", metavar="MODEL", type=Path, help="the robot's MJCF (.xml) or URDF (.urdf)")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--bag", nargs="+", metavar="BAG", type=Path, help="recordings: bags, or folders of bags")
+    source.add_argument("--csv", nargs="+", metavar="CSV", type=Path, help="tables, one trial each")
+    source.add_argument("--lerobot", metavar="DIR", type=Path, help="a LeRobot dataset, one trial an episode")
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="new folder for the files")
+    parser.add_argument("--match", nargs="+", metavar="JOINT=RECORDED", type=_pair, default=[],
+                        help="joint of the model and its name in the recordings, where they differ")  # fmt: skip
+    parser.add_argument("--position-unit", choices=("rad", "deg", "m", "mm"),
+                        help="of recorded positions and targets (default: told from their reach)")  # fmt: skip
+    parser.add_argument("--effort-unit", choices=("N m", "N", "A", "mA", "duty", "raw"),
+                        help="of recorded efforts (default: told from the model's inverse dynamics)")  # fmt: skip
+    parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects that the check tries (default: all)")
+    parser.add_argument("--no-check", action="store_true", help="write the files only")
+    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of this machine (default: all)")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    from eps_tunnel_analysis.inputs import bags as bags_in
+    from eps_tunnel_analysis.new_rig.joints import read_robot
+    from eps_tunnel_analysis.new_rig.tables import csv_bags, lerobot_bags
+    from eps_tunnel_analysis.new_rig.write import new_rig
+    from eps_tunnel_analysis.recording import read_all
+    from labyrinth_sim.model import load_model
+
+    refuse_existing(arguments.out)
+    robot = read_robot(arguments.robot)
+    notes: list[str] = []
+    with new_folder(arguments.out) as folder:
+        if arguments.bag:
+            paths = bags_in(arguments.bag)
+        elif arguments.csv:
+            paths, notes = csv_bags(arguments.csv, robot.joints, folder / "bags")
+        else:
+            paths, notes = lerobot_bags(arguments.lerobot, folder / "bags")
+        made = new_rig(
+            robot, read_all(paths), folder, dict(arguments.match), arguments.position_unit, arguments.effort_unit
+        )
+        load_model(made.model)  # whatever is wrong is told before the folder takes its name
+    model = arguments.out / "model.yaml"
+    if not arguments.bag:
+        paths = [arguments.out / "bags" / path.name for path in paths]
+    out = console()
+    known = [rule.replace(str(folder), str(arguments.out)) for rule in made.known]
+    for note in (*notes, *made.notes):
+        out.print(note, soft_wrap=True, markup=False)
+    if not arguments.no_check:
+        _check(model, paths, known, arguments)
+    out.print(f"Rig: {arguments.out / 'rig.yaml'}\nModel: {model}", soft_wrap=True)
+    if known:
+        out.print("Recorded with different gains; give every command with these recordings:", soft_wrap=True)
+        out.print(f"  --known {shlex.join(known)}", soft_wrap=True, markup=False)
+
+
+def _check(model: Path, paths: list[Path], known: list[str], arguments: argparse.Namespace) -> None:
+    from eps_tunnel_analysis.check.check import check
+    from eps_tunnel_analysis.inputs import load_recorded
+
+    recorded = load_recorded(str(model), paths, known=known, efforts=True)
+    with rollout_progress() as progress:
+        checked = check(
+            recorded.model, recorded.plays, recorded.notes, arguments.candidates, arguments.threads, progress
+        )
+    for line in checked.lines():
+        console().print(line, soft_wrap=True, markup=False)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    joint, equals, recorded = text.partition("=")
+    if not (joint and equals and recorded):
+        raise argparse.ArgumentTypeError(f"expected JOINT=RECORDED, got '{text}'")
+    return joint, recorded

@@ -1,0 +1,376 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one axis lacks: single effects, several effects, and what contains them."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
+from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_from, base_refit, base_starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate
+from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, rank, worst_floors
+from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
+from eps_tunnel_analysis.diagnose.search import SHORTLIST, Job, Refit, Search, TrialPoint, best_by_set
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.model import Model
+from labyrinth_sim.shown import shown
+from labyrinth_sim.trials import Array
+
+REBASED = 1  # refits whose base values are sought anew, each from
+REBASE_STARTS = 2  # starts, its own among them
+NEAR_BEST = 2.0  # times the best's cost; such refits start again from its base values
+POINTS_EACH = 2
+ROUNDS = 6
+PAIR_SHORTLIST = 4
+MOST_EFFECTS = 3  # on one axis
+RIVALS = 4  # of an effect that are refitted in its place
+RUNNERS_UP = 2  # on which one more effect is tried too, as on the best; no further away than
+RUNNING = 4.0  # times what the best leaves
+CLOSE = 0.75  # times what counts as healthy; below nothing more is sought
+WORTHWHILE = 0.2  # of what is left beyond the noise, that an effect must explain for one more to be sought
+MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
+
+
+# ---- effects
+
+
+def next_refits(search: Search, on: Sequence[Refit], shortlist: int = SHORTLIST) -> list[Refit]:
+    """Every candidate refitted on top of refits: trial points, then descents of the most promising; best first.
+
+    Args:
+        on: the best first; where several effects act, one of them alone may not be what explains most.
+    """
+    search.settle_at(on[0])
+    points = [on[0], *(search.at(other.values, other) for other in on[1:])]
+    tried = search.trial_points(points, search.library.candidates)
+    if not tried or tried[0].promised > on[0].cost - 0.5 * SETTINGS.material:
+        return []
+    return _rebased(search, search.best_of(_jobs(search, points, tried, shortlist), ROUNDS))
+
+
+def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], shortlist: float) -> list[Job]:
+    """The best trial points of each of the `shortlist` most promising sets, to be fitted on top of `points`.
+
+    A set starts from every point that leads to it, for the base that fits best without an effect may lie in a valley
+    where the effect does not help.
+    """
+    chosen: dict[frozenset[str], list[TrialPoint]] = {}
+    for point in tried:
+        name = frozenset([*points[point.on].effects, point.candidate.name])
+        if name in chosen or len(chosen) < shortlist:
+            chosen.setdefault(name, []).append(point)
+    jobs: list[Job] = []
+    for same in chosen.values():
+        first = [point for i, point in enumerate(same) if point.on not in [other.on for other in same[:i]]]
+        for point in first[:POINTS_EACH]:
+            fitted = tuple(search.library.find(name) for name in points[point.on].effects)
+            jobs.append(((*fitted, point.candidate), point.values))
+    return jobs
+
+
+def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
+    """The refits, the best of them descended again from other base values: those at hand may lie in a wrong valley.
+
+    What comes near the best is likely to be mistaken for it, so it starts again from the best's base values: whatever
+    is missing, the drive is the same.
+    """
+    size = len(search.library.base)
+    jobs: list[Job] = []
+    for refit in refits[:REBASED] if size else ():
+        points = base_starts(search, refit.values, REBASE_STARTS)[1:]
+        jobs += [(tuple(search.library.find(n) for n in refit.effects), point) for point in points]
+    again = best_by_set([*refits, *(search.best_of(jobs, ROUNDS) if jobs else [])])
+    near = [r for r in again[1:] if size and r.cost < NEAR_BEST * again[0].cost]
+    beside = [np.concatenate([again[0].values[:size], r.values[size:]]) for r in near]
+    named = [tuple(search.library.find(n) for n in r.effects) for r in near]
+    return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
+
+
+def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
+    """The best with each of its effects replaced by another: by those that it is mistaken for, and by those of other
+    sets that were tried. The base values of the best stay, for whatever is missing, the drive is the same.
+
+    A set that was tried goes on only where this promises less than it left.
+    """
+    known = {frozenset(r.effects): r.cost for r in tried}
+    jobs: list[Job] = []
+    for name in best.effects:
+        others = tuple(search.library.find(n) for n in best.effects if n != name)
+        effect, registry = search.library.find(name).effect.name, search.library.model.registry
+        mistaken = registry.rivals(effect) if effect in registry.effects else ()  # a drive's value has none
+        rest = frozenset(other.name for other in others)
+        candidates = [c for c in search.library.candidates if c.name not in best.effects
+                      and (c.effect.name in mistaken or rest | {c.name} in known)]  # fmt: skip
+        if not candidates:
+            continue
+        without = best.values.copy()
+        columns = search.columns(search.library.find(name))
+        without[columns] = search.start[columns]
+        bare = replace(search.at(without, best), effects=tuple(o.name for o in others))
+        points = search.trial_points([bare], candidates)
+        promising = [p for p in points if p.promised < known.get(rest | {p.candidate.name}, np.inf)]
+        jobs += _jobs(search, [bare], promising, RIVALS)
+    return search.best_of(jobs, ROUNDS) if jobs else []
+
+
+def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
+    """The refits; one that fits worse than a set it contains is started again from there.
+
+    A set that contains another, or an effect that contains another one, can always be set to do the same, so it cannot
+    fit worse. What still does has not converged.
+    """
+    jobs: list[Job] = []
+    for refit in refits:
+        for smaller in (base, *refits):
+            if refit.cost <= MISFITTED * smaller.cost:
+                continue
+            start = _contained(search, refit, smaller)
+            if start is not None:
+                jobs.append((tuple(search.library.find(n) for n in refit.effects), start))
+    found = best_by_set([*refits, *search.judged(jobs, ROUNDS)])
+
+    def misfits(refit: Refit) -> bool:
+        return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in (base, *found))
+
+    return [replace(refit, converged=not misfits(refit)) for refit in found]
+
+
+def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
+    """(K,) values at which the larger set does what the smaller one does, None where it cannot."""
+    values = smaller.values.copy()
+    left = [name for name in larger.effects if name not in smaller.effects]
+    for name in (n for n in smaller.effects if n not in larger.effects):
+        own = search.library.find(name)
+        wider = [c for c in map(search.library.find, left)
+                 if c.place == own.place and own.effect.name in [name for _, name, _ in c.effect.contains]]  # fmt: skip
+        if not wider:
+            return None
+        general = wider[0]
+        for parameter, contained, its in general.effect.contains:
+            if contained == own.effect.name:
+                number = smaller.values[search.columns(own)[_place(own, its)]]
+                values[search.columns(general)[_place(general, parameter)]] = number
+        values[search.columns(own)] = search.start[search.columns(own)]
+        left.remove(general.name)
+    if set(smaller.effects) == set(larger.effects):
+        return None
+    for name in left:  # what is new begins weak, for at its off values it has no slope
+        candidate = search.library.find(name)
+        for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
+            if p.off is not None:
+                values[column] = p.off + 0.05 * (p.typical - p.off)
+    return values
+
+
+def _place(candidate: Candidate, parameter: str) -> int:
+    return [p.name for p in candidate.declared].index(parameter)
+
+
+# ---- the axis
+
+
+@shown
+@dataclass(frozen=True)
+class AxisDiagnosis:
+    """What was found on one axis: refits of every set tried, the ranking, and what is left.
+
+    Attributes:
+        base: the base values alone.
+        hypotheses: what was ranked, the base first.
+        odd: signals whose trials differ as no effect of the library makes them.
+        even: the ranking if uneven timing of the trials is not held against completeness.
+    """
+
+    part: AxisPart
+    search: Search
+    base: Refit
+    refits: tuple[Refit, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    ranking: Ranking
+    even: Ranking
+    odd: tuple[Repeats, ...] = ()
+
+    @property
+    def best(self) -> Refit:
+        """The most probable refit, whether or not it explains all; the base where that is more probable."""
+        return self.of(self.ranking.ranked[0].effects) if self.ranking.ranked else self.base
+
+    def of(self, effects: Sequence[str]) -> Refit:
+        """The refit of a set of effects; the base where it was not refitted."""
+        return next((r for r in self.refits if set(r.effects) == set(effects)), self.base)
+
+    def own(self, names: Collection[str]) -> list[Candidate]:
+        """Those of these effects that act on this axis."""
+        return [c for c in self.search.library.candidates if c.name in names]
+
+    def acting(self, names: Collection[str]) -> Refit:
+        """The refit of those of these effects that act on this axis."""
+        return self.of([c.name for c in self.own(names)])
+
+    def held_out_error(self, effects: Sequence[str]) -> float:
+        """rad (m for the ball): mean absolute error of positions in stretches of time that were left out of the fit."""
+        own = next((h for h in self.hypotheses if set(h.refit.effects) == set(effects)), self.hypotheses[0])
+        evidence = self.search.evidence
+        units = dict(zip(evidence.model.rig.signals, evidence.model.rig.units, strict=True))
+        angles = [i for i, name in enumerate(self.part.signals) if units.get(name, "m") in ("rad", "m")]
+        here = np.isin(self.search.signal, angles)
+        return float(np.mean(np.abs(own.left_out[here] * self.search.scale[here])))
+
+    def remaining(self, refit: Refit) -> dict[str, float]:
+        """Signal -> floors that a refit leaves of it."""
+        search = self.search
+        return {
+            name: float(np.mean(refit.residuals[search.signal == i] ** 2))
+            for i, name in enumerate(self.part.signals)
+            if (search.signal == i).any()
+        }
+
+
+def diagnose_axis(
+    model: Model,
+    plays: Sequence[Play],
+    part: AxisPart,
+    run: SearchOptions,
+    level: float = 0.0,
+    bases: Bases | None = None,
+) -> AxisDiagnosis:
+    """Names what one axis lacks.
+
+    Args:
+        level: floors that the base left before effects were added in earlier steps.
+        bases: of all axes, where there are several.
+    """
+    bases = bases or Bases()
+    search = axis_search(bases.among(model, part.axis), plays, part, run)
+    base = base_refit(search, bases.values.get(part.axis))
+    floor = floor_known(plays)
+    base, refits = refitted_sets(search, base, level=level, floor=floor)
+    return _judged(plays, part, search, base, refits, model, level, floor)
+
+
+def refitted_sets(
+    search: Search, base: Refit, healthy: float = SETTINGS.healthy, level: float = 0.0, floor: bool = True,
+    most: int = MOST_EFFECTS,
+) -> tuple[Refit, list[Refit]]:  # fmt: skip
+    """What may explain that which the base leaves: single effects, then more on top of the best.
+
+    Args:
+        healthy: floors of the worst signal that count as nothing missing.
+        level: floors that the base left before effects were added in earlier steps.
+        floor: whether trials tell what the rig repeats; if not, one effect at a time is tried.
+        most: effects in a set.
+
+    Returns:
+        The base, from a better start where the effects show one, and a refit of each set that was tried.
+    """
+    refits: list[Refit] = []
+    allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
+    if search.library.candidates and (not floor or worst_floors(base.residuals, search.signal) > CLOSE * allowed):
+        refits = next_refits(search, [base])
+        base = _better_base(search, base, refits)
+        refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
+        best = lowest([base, *refits])
+        # Without a floor nothing says when to stop, so one effect at a time is judged.
+        enough = healthy + SETTINGS.form * max(base.cost, level)
+        worth = _explains(base, best)
+        while (
+            floor
+            and worth
+            and 0 < len(best.effects) < most
+            and worst_floors(best.residuals, search.signal) > CLOSE * enough
+        ):
+            more = next_refits(search, [best, *_runners_up(best, refits)], PAIR_SHORTLIST)
+            more += rival_refits(search, lowest(more), [*refits, *more]) if more else []
+            refits = best_by_set([*refits, *more])
+            better = lowest([best, *more])
+            worth, best = _explains(best, better), better
+        refits = nested_refits(search, base, refits)
+    return base, refits
+
+
+def _judged(
+    plays: Sequence[Play], part: AxisPart, search: Search, base: Refit, refits: Sequence[Refit], model: Model,
+    level: float, floor: bool,
+) -> AxisDiagnosis:  # fmt: skip
+    hypotheses = near_hypotheses(search, refits)
+    alone = hypothesis(search, base)
+    differ = [(p, r) for p in plays for r in repeats(p.trials, _positions(model, part)) if r.sentence]
+    drifts, uneven = any(r.drift for _, r in differ), any(r.jitter > p.timing for p, r in differ)
+    tried = len(search.library.candidates)
+    # What the base leaves of all samples says whether anything is missing; left-out ones, what explains it.
+    even = rank(Hypothesis(base, base.residuals), hypotheses, folds_of(search), search.blocks, tried, level=level,
+                drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
+    ranking = _uneven(even) if uneven else even
+    return AxisDiagnosis(
+        part, search, base, tuple(refits), (alone, *hypotheses), ranking, even, tuple(r for _, r in differ)
+    )
+
+
+def _uneven(ranking: Ranking) -> Ranking:
+    """Where trials differ by their timing nothing is complete, but an effect may still explain the rest."""
+    ranked = tuple(replace(r, probability=r.probability * (1.0 - SETTINGS.odd)) if not r.effects else r
+                   for r in ranking.ranked)  # fmt: skip
+    lost = sum(a.probability - b.probability for a, b in zip(ranking.ranked, ranked, strict=True))
+    return replace(ranking, ranked=ranked, unknown=ranking.unknown + lost)
+
+
+def near_hypotheses(search: Search, refits: Sequence[Refit]) -> list[Hypothesis]:
+    """Those of the refits that are ranked: the best, and what comes near it."""
+    near = sorted(refits, key=lambda r: r.cost)
+    near = [r for i, r in enumerate(near) if i < 4 or r.cost < RUNNING * max(near[0].cost, 1.0)][:10]
+    return [
+        hypothesis(search, r, [o for o in near if o is not r and _contained(search, r, o) is not None]) for r in near
+    ]
+
+
+def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> Hypothesis:
+    """A refit, what it predicts of stretches of time that are left out of it, and others that it contains."""
+    columns = search.fitted(refit)
+    span = (search.high - search.low)[columns]
+    room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
+    left = left_out(search.jacobian(refit), refit.residuals, folds_of(search), room, search.firmness[columns])
+    return Hypothesis(refit, left, tuple(frozenset(other.effects) for other in contains))
+
+
+def folds_of(search: Search) -> NDArray[np.int64]:
+    """(R,) the stretch of time to which each residual belongs."""
+    return search.levels["exact"].fold(SETTINGS.block)[search.used]
+
+
+def floor_known(plays: Sequence[Play]) -> bool:
+    """Whether every play has trials that tell what the rig repeats."""
+    return all(play.trials.count > 1 for play in plays)
+
+
+def _explains(before: Refit, after: Refit) -> bool:
+    """Whether what came in is worth going on from."""
+    return before.cost - after.cost >= max(SETTINGS.material, WORTHWHILE * (before.cost - 1.0))
+
+
+def lowest(refits: Sequence[Refit]) -> Refit:
+    """Of least cost; of equal ones the one with fewest effects."""
+    return min(refits, key=lambda r: (r.cost, len(r.effects)))
+
+
+def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:
+    """The next best of as many effects."""
+    same = [r for r in refits if len(r.effects) == len(best.effects) and set(r.effects) != set(best.effects)]
+    near = [r for r in same if r.cost < RUNNING * best.cost]
+    return sorted(near, key=lambda r: (r.cost, r.effects))[:RUNNERS_UP]
+
+
+def _positions(model: Model, part: AxisPart) -> list[str]:
+    return [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
+
+
+def _better_base(search: Search, base: Refit, refits: Sequence[Refit]) -> Refit:
+    """The base from the best refits' base values, if that is lower: an effect must not be named for a better start."""
+    starts = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
+    again = base_from(search, starts) if starts and search.library.base else base
+    if again.cost < base.cost:
+        return again
+    search.settle_at(base)
+    return base

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evidence: what was measured, at its own stamps, how exactly, and what a model says at the same instants.
+
+Nothing is resampled: commands act at their own stamps, and a model is rolled out on a grid as fine as it needs and read
+where each sample was taken. So a verdict depends neither on an analysis grid nor on jittering stamps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.diagnose.noise import SignalNoise, signal_noise
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.fit.cluster import Spread
+from eps_tunnel_analysis.fit.problem import Residuals
+from eps_tunnel_analysis.simulated import Play, first_pose, known_values
+from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
+from labyrinth_sim.model import Model
+from labyrinth_sim.rig import BALL_SIGNALS
+from labyrinth_sim.simulate import simulate_batch
+from labyrinth_sim.trials import Array
+
+NARROWEST = 0.005  # s, of a bin; what a rig does faster than that is gathered in one
+
+
+@dataclass(frozen=True)
+class PlayEvidence:
+    """One play as it is compared: aligned trials, and for each signal the bins of its measurements.
+
+    Attributes:
+        play: as recorded.
+        trials: its trials at their own stamps, aligned by their commands.
+        seconds: length that all trials have.
+        width: s, of the bins: the sensors' sample time, no less than `NARROWEST`.
+        noise: for each signal.
+    """
+
+    play: Play
+    trials: tuple[StampedTrial, ...]
+    seconds: float
+    width: float
+    noise: tuple[SignalNoise, ...]
+
+
+def play_evidence(model: Model, play: Play, signals: Sequence[str]) -> PlayEvidence:
+    """What one play says of these signals."""
+    trials = aligned(play.at_stamps)
+    seconds = min(trial.seconds for trial in trials)
+    series = [trial.signals[name] for trial in trials for name in signals if len(trial.signals[name].time) > 1]
+    apart = np.median(np.concatenate([np.diff(one.time) for one in series])) if series else play.trials.step
+    width = max(float(apart), NARROWEST)
+    resolution = {m.signal: m.resolution for m in model.rig.measured}
+    stated, noise = model.values(), []
+    ticks = {m.signal: stated.get(f"drive.{axis.name}.feedback_tick", 0.0)
+             for axis in model.rig.axes for m in axis.measured if m.quantity == "position"}  # fmt: skip
+    for name in signals:
+        bins = readings([t.signals[name] for t in trials], seconds, width, int(seconds / width) + 2, width)
+        raw = [t.signals[name].values for t in trials]
+        noise.append(signal_noise(bins, raw, width, resolution.get(name, 0.0), SETTINGS.tolerance, SETTINGS.timing,
+                                  ticks.get(name, 0.0)))  # fmt: skip
+    return PlayEvidence(play, trials, seconds, width, tuple(noise))
+
+
+class Evidence:
+    """Residuals of a model on recorded plays: simulated minus measured, at the instants of measurement.
+
+    Args:
+        model: its values hold where the free ones do not.
+        free: k full names of free parameters.
+        plays: as `play_evidence` gives them.
+        signals: which are compared.
+        step: s, at most, between the steps of a roll-out.
+        nthread: 0 for one per CPU; the answer does not depend on it.
+        spread: has roll-outs done elsewhere; None for this machine. The answer does not depend on it either.
+
+    Attributes:
+        mean: (R,) what was measured, play by play, signal by signal, bin by bin.
+        floor: (R,) by how much a perfect model would miss it: noise of the mean, ticks, drift, tolerance.
+        time: (R,) s since the play's start.
+        blocks: (R,) number of the play and signal.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        free: Sequence[str],
+        plays: Sequence[PlayEvidence],
+        signals: Sequence[str],
+        step: float,
+        nthread: int = 0,
+        spread: Spread | None = None,
+    ) -> None:
+        self.model, self.free, self.plays, self.signals = model, tuple(free), tuple(plays), tuple(signals)
+        self.nthread, self.spread = nthread, spread
+        self.known = known_values(model, [p.play for p in plays])
+        self._steps = [_even(p.width, step) for p in plays]
+        parts = [(p, s) for p in range(len(plays)) for s in range(len(signals))]
+        noise = [plays[p].noise[s] for p, s in parts]
+        self.mean = np.concatenate([n.mean for n in noise])
+        self.floor = np.concatenate([n.floor for n in noise])
+        self.time = np.concatenate([n.time for n in noise])
+        self.blocks = np.repeat(np.arange(len(noise)), [len(n.time) for n in noise])
+
+    def finer(self) -> "Evidence":
+        """The same with steps half as long."""
+        step = min(self._steps) / 2.0
+        return Evidence(self.model, self.free, self.plays, self.signals, step, self.nthread, self.spread)
+
+    def count(self, play: int) -> int:
+        """Points of a play's simulation grid."""
+        return int(np.ceil(self.plays[play].seconds / self._steps[play] - 1e-9)) + 1
+
+    def step(self, play: int) -> float:
+        """s between the points of a play's simulation grid."""
+        return self._steps[play]
+
+    def times(self, play: int) -> Array:
+        """(K,) s, a play's simulation grid."""
+        return np.asarray(self.step(play) * np.arange(self.count(play)), dtype=np.float64)
+
+    @cached_property
+    def _readings(self) -> list[list[Readings]]:
+        return [
+            [
+                readings([t.signals[name] for t in p.trials], p.seconds, self.step(i), self.count(i), p.width)
+                for name in self.signals
+            ]
+            for i, p in enumerate(self.plays)
+        ]
+
+    @cached_property
+    def commands(self) -> list[Array]:
+        """For each play (K, u) rad, the setpoint during each step of its grid; NaN where the drive is off."""
+        channels = self.model.rig.command_channels
+        return [
+            np.column_stack([setpoints(p.trials, c, self.step(i), self.count(i)) for c in channels])
+            for i, p in enumerate(self.plays)
+        ]
+
+    @cached_property
+    def initial(self) -> list[dict[str, Array]]:
+        """For each play the position (1,) of each joint where it begins, the mean over its trials; the ball's where it
+        is compared.
+        """
+        return [
+            {
+                name: np.array([v])
+                for name, v in first_pose(self.model, play.trials).items()
+                if name not in BALL_SIGNALS or name in self.signals
+            }
+            for play in self.plays
+        ]
+
+    def __call__(self, values: Array) -> Array:
+        """(n, k) values in their units to (n, R) residuals in the signals' units; NaN where a roll-out diverged."""
+        return self._residuals(np.atleast_2d(values))
+
+    @cached_property
+    def _residuals(self) -> Residuals:
+        return self.spread(self.alone) if self.spread else self.alone
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A worker elsewhere has its own number of cores, and shares nothing out in its turn.
+        kept = {name: value for name, value in self.__dict__.items() if name != "_residuals"}
+        return {**kept, "nthread": 0, "spread": None}
+
+    def alone(self, table: Array) -> Array:
+        """The same of a table (n, k) on this machine."""
+        parts = []
+        for number in range(len(self.plays)):
+            result = simulate_batch(
+                self.model, self.free, table, self.times(number), self.commands[number][None],
+                self.initial[number],
+                per_command={name: given[[number]] for name, given in self.known.items()},
+                signals=self.signals, timestep=self.step(number), nthread=self.nthread,
+            )  # fmt: skip
+            for column, bins in enumerate(self._readings[number]):
+                seen = result.values[:, 0, :, column]
+                parts.append(np.asarray((bins.reading @ seen.T).T) - bins.mean)
+        return np.concatenate(parts, axis=1)
+
+    def fold(self, seconds: float) -> NDArray[np.int64]:
+        """(R,) number of the stretch of time, about so long, that each residual belongs to; all signals of a play share
+        theirs.
+        """
+        found = np.empty(len(self.time), dtype=np.int64)
+        first = 0
+        for number, play in enumerate(self.plays):
+            here = self.blocks // len(self.signals) == number
+            parts = max(1, round(play.seconds / seconds))
+            found[here] = first + np.minimum((self.time[here] / play.seconds * parts).astype(np.int64), parts - 1)
+            first += parts
+        return found
+
+
+def _even(width: float, step: float) -> float:
+    """s: the longest step, `step` at most, of which a bin is a whole number."""
+    return width / max(1, int(np.ceil(width / step - 1e-6)))

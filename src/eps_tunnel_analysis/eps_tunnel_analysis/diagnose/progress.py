@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a diagnosis is: the roll-outs that were made, and about how many there will be."""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+PER_BASE_VALUE = 95  # roll-outs for each base value of an axis: fitted first, and again beside the best effects
+PER_CANDIDATE = 30  # for each effect at each place: trial points, and its share of descents
+AND_THEN = 600  # for each axis: descents of the best, what they are mistaken for, judging
+STILL = 1.1  # times what was made; more than was expected may go on for a while
+
+
+class RolloutProgress(Protocol):
+    """Called with what is being done, how many roll-outs were made, and of about how many; 0 where nobody knows."""
+
+    def __call__(self, what: str, count: int, of: int = 0, /) -> None: ...
+
+
+def expected_rollouts(axes: Sequence[tuple[int, int]]) -> int:
+    """About how many roll-outs a diagnosis takes, from the base values and the candidates of each axis."""
+    sweeps = sum(PER_BASE_VALUE * base for base, _ in axes) if len(axes) > 1 else 0
+    return sweeps + sum(PER_BASE_VALUE * base + PER_CANDIDATE * candidates + AND_THEN for base, candidates in axes)
+
+
+class RolloutCount:
+    """Adds up searches that follow one another, each of which counts from 0."""
+
+    def __init__(self, report: RolloutProgress, expected: int) -> None:
+        self._report, self._expected = report, expected
+        self._before, self._now, self._what = 0, 0, ""
+
+    def __call__(self, what: str, count: int) -> None:
+        if what != self._what or count < self._now:
+            self._before += self._now
+        self._what, self._now = what, count
+        made = self._before + count
+        self._report(what, made, max(self._expected, math.ceil(STILL * made)))

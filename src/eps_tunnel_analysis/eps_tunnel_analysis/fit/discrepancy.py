@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""By how much a missing effect may have shifted fitted values, to first order.
+
+A fit hides as much of a missing effect in its values as these can imitate; what is left says only how strong the rest
+is. So each effect of the library is tried: its part that the values can not imitate is scaled to what is left, and with
+it goes the shift that the other part made. Intervals widen by the largest shift among the effects that explain about as
+much as the best one does.
+"""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.candidates import Library, library, starts
+from eps_tunnel_analysis.diagnose.evidence import play_evidence
+from eps_tunnel_analysis.fit.intervals import autocorrelation_length
+from eps_tunnel_analysis.fit.problem import Objective, Problem
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.rig import BALL_SIGNALS
+from labyrinth_sim.trials import Array
+
+VISIBLE = 1.6  # times the noise floor, mean squares: less may be noise, and nothing is looked for
+ROWS = 4  # strengths at which an effect is tried
+AGAIN = 8  # effects that are tried again at the strength that explains most
+STRONGEST = 3.0  # times a strength that was tried
+NEAR = 0.02  # likelihood, over that of the best effect, from which one counts
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """Attributes:
+    deviation: (k,) by how much a missing effect may have shifted each value, normalised units.
+    likely: the effect that explains most, to first order; "" where no more is left than noise.
+    """
+
+    deviation: Array
+    likely: str = ""
+
+
+@dataclass(frozen=True)
+class _TriedEffects:
+    """Effects that were tried: (n, K) values, names, the (n,) strength that explains most, the (n, k) shift of the
+    fitted values, and (n,) mean square that is left.
+    """
+
+    values: Array
+    names: tuple[str, ...]
+    strength: Array
+    shift: Array
+    left: Array
+
+
+def discrepancy(
+    objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array, slopes: Array
+) -> Discrepancy:
+    """What a missing effect may have done to a fit.
+
+    Args:
+        plays: that were fitted.
+        z: (k,) the fit, normalised.
+        residuals, slopes: (R,) and (R, k) there, in the fitness's scaling.
+    """
+    nothing = Discrepancy(np.zeros(problem.size))
+    values = problem.from_unit(z)
+    if not np.isfinite(slopes).all() or _misfit(objective, plays, objective(values[None])[0]) <= VISIBLE:
+        return nothing
+    model = objective.model.with_values(dict(zip(problem.names, values.tolist(), strict=True)))
+    lib = library(model, (), any(s in objective.signals for s in BALL_SIGNALS))
+    rows, names = _rows(lib)
+    if not names:
+        return nothing
+    effects = copy.copy(objective)
+    effects.model, effects.free = lib.model, lib.names
+    inverse = np.linalg.pinv(slopes)
+    worth = len(residuals) / (2.0 * autocorrelation_length(residuals, problem.blocks) + 1.0)
+
+    def tried(rows: Array, names: tuple[str, ...]) -> _TriedEffects:
+        """The part that the values can not imitate, scaled to what is left; and what the other part shifts."""
+        change = np.nan_to_num(problem.fitness.scaled(effects(rows))) - residuals
+        imitated = change @ inverse.T
+        rest = change - imitated @ slopes.T
+        size = np.maximum(np.sum(rest**2, axis=1), 1e-300)
+        strength = np.clip(-(rest @ residuals) / size, 0.0, STRONGEST)
+        left = np.mean((residuals + strength[:, None] * rest) ** 2, axis=1)
+        return _TriedEffects(rows, names, strength, -strength[:, None] * imitated, left)
+
+    first = tried(rows, names)
+    best = _best_of_each(first)[:AGAIN]
+    off = np.array([lib.model.parameters()[n].value for n in lib.names])
+    again = tried(_stronger(lib, off, first, best), tuple(first.names[i] for i in best))
+    left = np.concatenate([first.left, again.left])
+    shift = np.concatenate([first.shift, again.shift])
+    near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(NEAR)
+    likely = (*first.names, *again.names)[int(np.argmin(left))]
+    return Discrepancy(np.sqrt(np.max(shift[near] ** 2, axis=0)), likely)
+
+
+def _misfit(objective: Objective, plays: Sequence[Play], raw: Array) -> float:
+    """Mean square of residuals (R,) in units of the noise floor."""
+    floors = np.concatenate(
+        [[float(np.median(n.floor)) for n in play_evidence(objective.model, play, objective.signals).noise]
+         for play in plays]
+    )  # fmt: skip
+    return float(np.mean((np.nan_to_num(raw) / floors[objective.blocks]) ** 2))
+
+
+def _rows(lib: Library) -> tuple[Array, tuple[str, ...]]:
+    """(n, K) values of a few strengths of every effect, and the names of the effects."""
+    infos = lib.model.parameters()
+    off = np.array([infos[n].value for n in lib.names])
+    rows, names = [], []
+    for candidate in lib.candidates:
+        strengths = starts(candidate)
+        chosen = np.unique(np.linspace(0, len(strengths) - 1, ROWS).round().astype(int))
+        columns = [lib.names.index(n) for n in candidate.parameters]
+        for strength in strengths[chosen]:
+            row = off.copy()
+            row[columns] = strength
+            rows.append(row)
+            names.append(candidate.name)
+    return np.array(rows), tuple(names)
+
+
+def _best_of_each(tried: _TriedEffects) -> list[int]:
+    """For each effect the row that leaves least, the effect that explains most first."""
+    best: dict[str, int] = {}
+    for i in np.argsort(tried.left, kind="stable"):
+        best.setdefault(tried.names[int(i)], int(i))
+    return list(best.values())
+
+
+def _stronger(lib: Library, off: Array, tried: _TriedEffects, which: Sequence[int]) -> Array:
+    """(n, K) values of effects at the strength that explains most, within their bounds."""
+    infos = lib.model.parameters()
+    rows = []
+    for i in which:
+        row = tried.values[i].copy()
+        candidate = lib.find(tried.names[i])
+        for name, p in zip(candidate.parameters, candidate.declared, strict=True):
+            if p.off is not None:
+                at = lib.names.index(name)
+                moved = off[at] + max(tried.strength[i], 0.05) * (row[at] - off[at])
+                row[at] = min(max(moved, infos[name].low), infos[name].high)
+        rows.append(row)
+    return np.array(rows)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fit to what was recorded, and its two files: the model, and the whole result beside it."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from eps_tunnel_analysis.fit.calibrate import Bars, CalibrationResult, Settings, calibrate_model
+from eps_tunnel_analysis.fit.problem import default_free, free_parameters
+from eps_tunnel_analysis.fit.provenance import content_of, provenance_of, source_of
+from eps_tunnel_analysis.inputs import Recorded
+from eps_tunnel_analysis.outputs import json_text, model_file, refuse_files
+from eps_tunnel_analysis.values.validity import validity_of
+from labyrinth_sim.model import Model, save_model
+from labyrinth_sim.shown import shown
+from labyrinth_sim.whole_file import beside, folder_of, write_new
+
+
+@shown
+@dataclass(frozen=True)
+class Calibration:
+    """A fit, what is to be said of it, the content of its .fit.json, and the model with where its values come from."""
+
+    result: CalibrationResult
+    notes: tuple[str, ...]
+    content: dict[str, Any]
+    model: Model
+
+
+def model_and_result(out: Path) -> tuple[Path, Path]:
+    """The files of the model and of the result, before the work starts.
+
+    Raises:
+        InputError: either exists.
+        OSError: their folder cannot be made or written.
+    """
+    out = model_file(out)
+    result = out.with_suffix(".fit.json")
+    refuse_files(out, result)
+    with suppress(_Tried), folder_of(out), beside(out):
+        raise _Tried
+    return out, result
+
+
+class _Tried(Exception):
+    """A file was made where the model will be, and is taken away again."""
+
+
+def calibrate_bags(
+    recorded: Recorded, free: Sequence[Any], settings: Settings, axis_by_axis: bool, files: tuple[Path, Path], bars: Any
+) -> Calibration:
+    """Fits, and writes both files of `model_and_result`.
+
+    Args:
+        free, settings, axis_by_axis, bars: as in `calibrate_model`.
+
+    Raises:
+        InputError: what `calibrate_model` raises.
+    """
+    return write_calibration(calibrate_recorded(recorded, free, settings, axis_by_axis, bars), files)
+
+
+def free_of(recorded: Recorded, patterns: Sequence[str] = (), signals: Sequence[str] = ()) -> tuple[str, ...]:
+    """Full names of the values to fit: those that match `patterns`; without any, what the model's drives and effects
+    declare as free and nobody knows of the recordings.
+
+    Args:
+        signals: that are compared.
+
+    Raises:
+        InputError: a pattern that matches nothing.
+    """
+    if patterns:
+        return free_parameters(recorded.model, patterns)
+    known = {name for play in recorded.plays for name in play.known}
+    return tuple(name for name in default_free(recorded.model, signals=signals) if name not in known)
+
+
+def calibrate_recorded(
+    recorded: Recorded, free: Sequence[str], settings: Settings, axis_by_axis: bool = False, bars: Bars | None = None
+) -> Calibration:
+    """Fits what was read by `load_recorded`, and writes nothing; arguments and errors as in `calibrate_model`."""
+    result = calibrate_model(recorded.model, recorded.plays, free, settings, axis_by_axis, bars)
+    notes = list(recorded.notes)
+    if not settings.held_out:
+        count = len(recorded.plays)
+        notes.append(
+            f"Nothing was held out of {count} command{'s' * (count > 1)}: the errors are those of the data "
+            "that was fitted. Record at least five commands, or name a number with --hold-out."
+        )
+    signed = result.signed(source_of(settings, recorded, result), provenance_of(settings, recorded, result))
+    kept = [play for number, play in enumerate(recorded.plays) if number not in settings.held_out]
+    held = [play for number, play in enumerate(recorded.plays) if number in settings.held_out]
+    signed = replace(signed, path=None, valid=validity_of(signed, kept, held, recorded.bags))
+    return Calibration(result, tuple(notes), content_of(settings, recorded, result, notes), signed)
+
+
+def write_calibration(calibration: Calibration, files: tuple[Path, Path]) -> Calibration:
+    """Writes both files of `model_and_result`; the content then names them. Raises InputError: either exists."""
+    out, beside_it = files
+    content = {"command": "calibrate", "out": str(out), **calibration.content}
+    # The result first: it holds the values too, should the other file not come to be.
+    write_new(beside_it, json_text(content))
+    save_model(calibration.model, out)
+    return replace(calibration, content=content)

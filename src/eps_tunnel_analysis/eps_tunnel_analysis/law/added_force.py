@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one axis goes through while recorded commands are played on a model, and forces over time added meanwhile."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.live import Live
+from labyrinth_sim.model import Model
+from labyrinth_sim.simulate import simulate_batch
+from labyrinth_sim.site import Site
+from labyrinth_sim.trials import Array, locked
+
+STEP = 0.0025  # s, at most, between the steps of a roll-out
+STANDS = 1e-3  # rad/s, m/s; below it a joint keeps its direction
+MARGIN = 1.02  # times the visited range that a curve covers
+ROWS = 1e6
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One axis in the roll-out of one play, K steps. Of the driven joint, in rad and N m (m and N where it slides).
+
+    Attributes:
+        time: (K,) s since the start.
+        angle, speed: (K,).
+        direction: (K,) sign of the last speed worth the name, 0 before the first.
+        since: (K,) s since the direction last changed.
+        load: (K,) absolute torque that the gear carries, motor against load.
+        drive: (K,) of the motor, signed.
+        command: (K,) target during each step, NaN where the drive is off.
+        other: (K,) angle of the first other axis; empty where there is none.
+    """
+
+    time: Array
+    angle: Array
+    speed: Array
+    direction: Array
+    since: Array
+    load: Array
+    drive: Array
+    command: Array
+    other: Array
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            object.__setattr__(self, name, locked(getattr(self, name)))
+
+
+class Forces:
+    """Adds tables of force over time to one axis, a row of the table for each simulation, and records one of them."""
+
+    def __init__(self, axis: str, at_load: bool = False) -> None:
+        self.at_load = at_load
+        self.table: Array = np.zeros((1, 1))  # (rows, K) N m
+        self._seen: list[list[float]] | None = None
+        self.effect = Effect(
+            name="added_force",
+            title="Added force",
+            physics="A force over time, as a table.",
+            equation="torque = table",
+            parameters=(Parameter("row", "1", 0.0, ROWS, 0.0, 1.0, "number of a row, from 1; 0 adds nothing"),),
+            stage="force",
+            mark="",
+            shows="offset",
+            confused_with=(),
+            separated_by="",
+            order=1000,
+            step=self._step,
+        )
+        self.name = f"added_force.{axis}.row"
+        self._axis = axis
+
+    def into(self, model: Model) -> Model:
+        """The model with this effect, which adds nothing until asked."""
+        return model.with_effect(self.effect, self._axis, {"row": 0.0})
+
+    def _step(self, live: Live, site: Site, values: Values) -> None:
+        count = live.memory.setdefault("added_force", np.zeros(1))
+        k = min(int(count[0]), self.table.shape[1] - 1)
+        rows = values["row"].astype(np.int64)
+        dof = site.load_dof if self.at_load else site.dof
+        force = np.where(rows > 0, self.table[np.maximum(rows - 1, 0), k], 0.0)
+        if self._seen is not None:
+            other = live.drives[site.others[0]].qpos if site.others else -1
+            carried = live.actuator[0, site.dof] - live.passive[0, site.dof] + live.bias[0, site.dof]
+            self._seen.append(
+                [
+                    live.qpos[0, site.qpos],
+                    live.qvel[0, site.dof],
+                    carried,
+                    live.actuator[0, site.dof],
+                    live.qpos[0, other],
+                ]
+            )
+        live.applied[:, dof] += force
+        count += 1.0
+
+    def record(self) -> None:
+        """Records the next simulation."""
+        self._seen = []
+
+    def recorded(self) -> Array:
+        """(K, 5) angle, speed, load, drive's torque and other angle at the start of each step."""
+        assert self._seen is not None
+        found = np.array(self._seen)
+        self._seen = None
+        return found
+
+
+class Playing:
+    """A model under recorded commands, with forces over time added to one axis.
+
+    Args:
+        model: refitted.
+        plays: recorded.
+        axis: short name.
+        signals: compared.
+        free: full names of values that may move besides.
+        at_load: whether forces act on the load's joint.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        plays: Sequence[Play],
+        axis: str,
+        signals: Sequence[str],
+        free: Sequence[str] = (),
+        at_load: bool = False,
+        nthread: int = 0,
+    ) -> None:
+        self.axis, self.signals, self.free = axis, tuple(signals), tuple(free)
+        self.forces = Forces(axis, at_load)
+        self.model = self.forces.into(model)
+        self.plays = tuple(play_evidence(self.model, play, signals) for play in plays)
+        free = (*self.free, self.forces.name)
+        self.evidence = tuple(Evidence(self.model, free, [p], signals, STEP, nthread) for p in self.plays)
+        self.values = np.array([self.model.values()[name] for name in self.free])
+        self.nthread = nthread
+        self._channel = next(i for i, a in enumerate(model.rig.axes) if a.name == axis)
+
+    def count(self, play: int) -> int:
+        """K, steps of a play's roll-out."""
+        return self.evidence[play].count(0)
+
+    def residuals(self, play: int, table: Array, values: Array | None = None) -> Array:
+        """(n, R) simulated minus measured of one play, under force tables (n, K) N m.
+
+        Args:
+            values: (n, k) of the free values, those of the model by default.
+        """
+        rows = np.arange(1, len(table) + 1, dtype=float)[:, None]
+        free = np.broadcast_to(self.values if values is None else values, (len(table), len(self.free)))
+        self.forces.table = table
+        return self.evidence[play](np.hstack([free, rows]))
+
+    def motion(self, play: int, force: Array | None = None) -> Motion:
+        """What the axis goes through under a force over time (K,) N m, none by default."""
+        evidence = self.evidence[play]
+        count = evidence.count(0)
+        self.forces.table = np.zeros((1, count)) if force is None else np.asarray(force)[None]
+        self.forces.record()
+        simulate_batch(
+            self.model, (*self.free, self.forces.name), np.append(self.values, 1.0)[None], evidence.times(0),
+            evidence.commands[0][None], evidence.initial[0],
+            per_command=evidence.known,
+            signals=self.signals, timestep=evidence.step(0), nthread=1,
+        )  # fmt: skip
+        seen = self.forces.recorded()[:count]
+        angle, speed, load, drive, other = seen.T
+        step = evidence.step(0)
+        direction, since = _reversals(speed, step)
+        return Motion(
+            evidence.times(0)[: len(seen)], angle, speed, direction, since, np.abs(load), drive,
+            evidence.commands[0][: len(seen), self._channel],
+            other if len(self.model.rig.axes) > 1 else np.empty(0),
+        )  # fmt: skip
+
+
+def _reversals(speed: Array, step: float) -> tuple[Array, Array]:
+    """(K,) direction of the last motion and s since it changed."""
+    sign = np.where(np.abs(speed) > STANDS, np.sign(speed), 0.0)
+    last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
+    direction = sign[last]
+    changed = np.flatnonzero(np.diff(direction, prepend=0.0) != 0.0)
+    start = np.zeros(len(sign), dtype=np.int64)
+    start[changed] = changed
+    since = step * (np.arange(len(sign)) - np.maximum.accumulate(start))
+    return np.asarray(direction, dtype=np.float64), np.asarray(since, dtype=np.float64)
+
+
+def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
+    """Free curve -> short name of each number of its range, so that it covers what these motions visit."""
+    angle = _middle([m.angle for m in motions])
+    found = {
+        "curve_angle": angle,
+        "curve_angle_friction": angle,
+        "curve_speed": {"most": MARGIN * max(float(np.abs(m.speed).max()) for m in motions)},
+        "curve_load_friction": {"most": MARGIN * max(float(m.load.max()) for m in motions)},
+        "curve_reversal": {"end": max(float(np.quantile(m.since, 0.98)) for m in motions)},
+        "curve_time": {"end": max(float(m.time[-1]) for m in motions)},
+        "curve_time_friction": {"end": max(float(m.time[-1]) for m in motions)},
+    }
+    if all(m.other.size for m in motions):
+        other = _middle([m.other for m in motions])
+        found |= {"curve_other": other, "curve_other_friction": other}
+    return found
+
+
+def _middle(values: Sequence[Array]) -> dict[str, float]:
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    return {"centre": 0.5 * (low + high), "half": max(0.5 * MARGIN * (high - low), 1e-3)}

@@ -1,0 +1,477 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a missing force depends on: the share of the misfit that a smooth function of each variable predicts where it
+was left out, against the same with the variable moved in time, which keeps its own rhythm and loses the rig's.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.law.added_force import Motion, visited
+from eps_tunnel_analysis.law.missing_force import MissingForce, PlayAnswer
+from labyrinth_sim.curve import CROWDED, KNOTS, NAMES, curve
+from labyrinth_sim.trials import Array
+
+RIDGE = 1e-4  # of the mean square of what a column changes
+BENDS = (0.0, 1e-2, 1.0)  # weights tried of a curve's squared curvature, in the same unit
+SURROGATES = 39
+LEAST_SHIFT = 0.7  # s by which a variable is moved at least
+LEVEL = 0.05  # share of healthy rigs that may name a variable
+DRAWS = 400  # of the block bootstrap
+PERIODS = 120  # tried, evenly in the logarithm; by chance a third of them
+MOST_WAVES = 40.0  # within the range visited
+LEAST_WAVES = 0.8
+MOST_A_TURN = 60  # waves
+NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
+ALIKE = 0.05  # of the misfit: what explains so little more says no more
+FRICTION = (
+    "curve_load_friction", "curve_angle_friction", "curve_other_friction", "curve_reversal", "curve_time_friction",
+)  # fmt: skip
+"""Free curves that are dry friction where they are even, which a curve over the speed is, too."""
+PLAIN = (
+    "curve_speed", "curve_angle", "curve_load_friction", "curve_sensor", "curve_other", "curve_angle_friction",
+    "curve_other_friction", "curve_reversal", "curve_time", "curve_time_friction",
+)  # fmt: skip
+"""Free curves, the plainest first: of those that explain as much as the best, the first one is named. Friction over
+angle, load or time holds dry friction, too, and a constant is a curve over anything."""
+
+
+Rows = Sequence[Array]
+"""Of each play, what acts over time, (n, K)."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """All residuals of an axis, linear in forces and sensor errors: R samples, F stretches of time.
+
+    Attributes:
+        missing: the plays' answers.
+        y: (R,) residuals without any force, in units of the noise floor.
+        fold: (R,) stretch of time.
+        base: (R, k) what refitted values can make up for.
+    """
+
+    missing: MissingForce
+    y: Array
+    fold: NDArray[np.int64]
+    base: Array
+    plays: tuple[PlayAnswer, ...] = field(repr=False)
+
+    @classmethod
+    def of(cls, missing: MissingForce) -> "Design":
+        """From a missing force."""
+        plays = missing.plays
+        y = np.concatenate([p.residuals for p in plays])
+        fold = np.concatenate([p.fold for p in plays])
+        return cls(missing, y, fold, np.concatenate([p.base for p in plays]), plays)
+
+    def columns(self, rows: Rows, signal: int | None = None, moved: Sequence[float] | None = None) -> Array:
+        """(R, K) change of the residuals by what acts over time.
+
+        Args:
+            rows: of each play, forces (n, K) N m at its nodes; or errors (r, K) at the samples of one sensor.
+            signal: number of that sensor; None for a force.
+            moved: share of its length by which each play's rows are moved in time, around the end.
+        """
+        parts = []
+        for i, (play, own) in enumerate(zip(self.plays, rows, strict=True)):
+            shifted = own if moved is None else np.roll(own, round(moved[i] * len(own)), axis=0)
+            if signal is None:
+                parts.append(play.answer @ shifted)
+                continue
+            here = np.flatnonzero(play.signal == signal)
+            block = np.zeros((len(play.time), own.shape[1]))
+            block[here] = shifted / play.scale[here, None]
+            parts.append(block)
+        return np.concatenate(parts)
+
+    def angles(self, signal: int | None = None) -> list[Array]:
+        """Of each play the joint's angle at its nodes (n,), or at the samples (r,) of one sensor."""
+        if signal is None:
+            return [p.at_nodes(p.motion.angle) for p in self.plays]
+        return [np.interp(p.time[p.signal == signal], p.motion.time, p.motion.angle) for p in self.plays]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What some columns explain where they were left out.
+
+    Attributes:
+        share: of the misfit beyond what base values make up for.
+        stretches: (F, 2) sum of squares in each stretch without the columns and with them.
+        weights: (K,) of the columns, fitted to everything.
+    """
+
+    share: float
+    stretches: Array
+    weights: Array
+
+    def interval(self, seed: int = 0) -> tuple[float, float]:
+        """90 % of the share, by a bootstrap of the stretches."""
+        rng = np.random.default_rng(seed)
+        counts = rng.multinomial(len(self.stretches), np.full(len(self.stretches), 1 / len(self.stretches)), DRAWS)
+        sums = counts @ self.stretches
+        shares = 1.0 - sums[:, 1] / np.maximum(sums[:, 0], 1e-300)
+        return float(np.quantile(shares, 0.05)), float(np.quantile(shares, 0.95))
+
+
+class Predictor:
+    """Least squares with each stretch of time left out in turn, for many sets of columns on the same residuals.
+
+    Args:
+        always: (R, k) columns besides the base values that are always there.
+    """
+
+    def __init__(self, design: Design, always: Array | None = None) -> None:
+        base = design.base if always is None else np.hstack([design.base, always])
+        self._order = np.argsort(design.fold, kind="stable")
+        folds = design.fold[self._order]
+        self._edges = np.flatnonzero(np.diff(folds, prepend=folds[0] - 1))[1:]
+        self._always, self._y = self._stretches(base), self._stretches(design.y)
+        self._own = np.array([y @ y for y in self._y])
+        self._grams = np.array([a.T @ a for a in self._always])
+        self._rights = np.array([a.T @ y for a, y in zip(self._always, self._y, strict=True)])
+        self._size = base.shape[1]
+        self._without = self._left_out(self._grams, self._rights)[0]
+
+    def explained(self, columns: Array, curve: bool = False) -> Explained:
+        """What columns (R, K) explain beside what is always there.
+
+        Args:
+            curve: whether they are the neighbouring knots of a curve, as smooth as predicts best.
+        """
+        own, size = self._stretches(columns), self._size
+        total = size + columns.shape[1]
+        grams, rights = np.empty((len(own), total, total)), np.empty((len(own), total))
+        grams[:, :size, :size], rights[:, :size] = self._grams, self._rights
+        for f, (part, always, y) in enumerate(zip(own, self._always, self._y, strict=True)):
+            grams[f, size:, size:] = part.T @ part
+            grams[f, size:, :size] = part.T @ always
+            grams[f, :size, size:] = grams[f, size:, :size].T
+            rights[f, size:] = part.T @ y
+        best: tuple[Array, Array] | None = None
+        for bends in BENDS if curve else (0.0,):
+            squares, weights = self._left_out(grams, rights, bends)
+            if best is None or squares.sum() < best[0].sum():
+                best = squares, weights
+        assert best is not None
+        share = 1.0 - best[0].sum() / max(self._without.sum(), 1e-300)
+        return Explained(float(share), np.column_stack([self._without, best[0]]), best[1][size:])
+
+    def _stretches(self, rows: Array) -> list[Array]:
+        return np.split(rows[self._order], self._edges)
+
+    def _left_out(self, grams: Array, rights: Array, bends: float = 0.0) -> tuple[Array, Array]:
+        """(F,) squares left in each stretch by a fit to the others, and (K,) weights fitted to all."""
+        if not grams.shape[1]:
+            return self._own.copy(), np.empty(0)
+        gram, right = grams.sum(axis=0), rights.sum(axis=0)
+        diagonal = np.diag(gram)
+        ridge = np.diag(RIDGE * np.maximum(diagonal, 1e-12 * max(float(diagonal.max()), 1e-300)))
+        if bends:
+            knots = np.diff(np.eye(len(gram) - self._size), 2, axis=0)
+            ridge[self._size :, self._size :] += bends * float(diagonal[self._size :].mean()) * knots.T @ knots
+        weights = -np.linalg.solve(gram - grams + ridge, (right - rights)[:, :, None])[:, :, 0]
+        bent = np.einsum("fk,fkl,fl->f", weights, grams, weights)
+        left = self._own + 2.0 * np.einsum("fk,fk->f", weights, rights) + bent
+        return left, -np.linalg.solve(gram + ridge, right)
+
+
+# ---- variables
+
+
+@dataclass(frozen=True)
+class Variable:
+    """Something that a force, a friction or a sensor's error may depend on.
+
+    Attributes:
+        name: for people, as "angle".
+        curve: the free curve that acts so.
+        place: an axis, or a sensor's signal.
+        rows: of each play, what each of the curve's ten knots adds over time.
+        signal: number of the sensor; None for a force.
+    """
+
+    name: str
+    curve: str
+    place: str
+    rows: Rows = field(repr=False)
+    signal: int | None = None
+
+    def columns(self, design: Design, moved: Sequence[float] | None = None) -> Array:
+        """(R, 10) change of a design's residuals, moved in time or not."""
+        return design.columns(self.rows, self.signal, moved)
+
+
+def hats(share: Array) -> Array:
+    """(n, 10) weight of each knot of a free curve at a share (n,) of its range."""
+    found = np.empty((len(share), KNOTS))
+    for i, name in enumerate(NAMES):
+        table = {other: np.full(1, 1.0 if other == name else 0.0) for other in NAMES}
+        found[:, i] = curve(table, share[None])[0]
+    return found
+
+
+def knots_of(which: str, span: Mapping[str, float]) -> Array:
+    """(10,) where the knots of a free curve lie, in the variable's own unit."""
+    share = np.linspace(0.0, 1.0, KNOTS)
+    if "half" in span:
+        return np.asarray(span["centre"] + span["half"] * (2.0 * share - 1.0))
+    if which == "curve_speed":
+        return np.asarray(span["most"] / CROWDED * np.sinh((2.0 * share - 1.0) * np.arcsinh(CROWDED)))
+    return np.asarray(share * span.get("end", span.get("most", 1.0)))
+
+
+def moving(motion: Motion) -> Array:
+    """(K,) against the motion: minus the direction where the joint moves, 0 where it stands."""
+    return -np.tanh(motion.speed / max(0.01 * float(np.abs(motion.speed).max()), 1e-9))
+
+
+def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[str, Array, Array]]:
+    """Free curve -> the variable's name, its share (K,) of the curve's range, and the sign (K,) that it acts with."""
+    against, ones = moving(motion), np.ones(len(motion.time))
+
+    def of_angle(angle: Array, span: Mapping[str, float]) -> Array:
+        return 0.5 + 0.5 * (angle - span["centre"]) / span["half"]
+
+    fast = spans["curve_speed"]["most"]
+    by_speed = 0.5 + np.arcsinh(CROWDED * motion.speed / fast) / (2.0 * np.arcsinh(CROWDED))
+    angle, end = of_angle(motion.angle, spans["curve_angle"]), spans["curve_time"]["end"]
+    found = {
+        "curve_speed": ("speed", by_speed, ones),
+        "curve_angle": ("angle", angle, ones),
+        "curve_angle_friction": ("angle, as friction", angle, against),
+        "curve_load_friction": ("load, as friction", motion.load / spans["curve_load_friction"]["most"], against),
+        "curve_reversal": (
+            "time since reversal", motion.since / spans["curve_reversal"]["end"], -motion.direction,
+        ),
+        "curve_time": ("time", motion.time / end, ones),
+        "curve_time_friction": ("time, as friction", motion.time / end, against),
+    }  # fmt: skip
+    if "curve_other" in spans:
+        other = of_angle(motion.other, spans["curve_other"])
+        found |= {
+            "curve_other": ("the other axis's angle", other, ones),
+            "curve_other_friction": ("the other axis's angle, as friction", other, against),
+        }
+    return found
+
+
+def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
+    """Every variable that something may depend on; those of forces, then of sensors."""
+    missing = design.missing
+    spans = visited([p.motion for p in design.plays])
+    each = [shares(p.motion, spans) for p in design.plays]
+    found = []
+    for name in each[0]:
+        rows = [
+            np.column_stack([p.at_nodes(column) for column in (hats(own[name][1]) * own[name][2][:, None]).T])
+            for p, own in zip(design.plays, each, strict=True)
+        ]
+        found.append(Variable(each[0][name][0], name, missing.axis, rows))
+    span = spans["curve_angle"]
+    for number in sensors(design, positions):
+        errors = [hats(0.5 + 0.5 * (a - span["centre"]) / span["half"]) for a in design.angles(number)]
+        found.append(
+            Variable("angle, as a sensor's error", "curve_sensor", missing.signals[number], errors, number)
+        )  # fmt: skip
+    return found
+
+
+def sensors(design: Design, positions: Sequence[str]) -> list[int]:
+    """Numbers of the sensors whose own error can be told; what a lone sensor does is what the axis does."""
+    seen = [i for i, signal in enumerate(design.missing.signals) if signal in positions]
+    return seen if len(seen) > 1 else []
+
+
+# ---- what is said
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """What a missing force depends on.
+
+    Attributes:
+        variable: for people; `curve`, `place`: the free curve that acts so.
+        share: of the misfit, where it was left out; with `interval`, 90 %.
+        chance: the largest share that any variable, moved in time, explained in all but LEVEL of the trials.
+        named: whether it explains more than chance does, and as much as is worth telling.
+        period: rad of the waves over the angle that explain it better than a smooth function, else None.
+        traced: what turns with that period, as the rig file states ratios; "" if nothing does.
+    """
+
+    variable: str
+    curve: str
+    place: str
+    share: float
+    interval: tuple[float, float]
+    chance: float
+    named: bool
+    period: float | None = None
+    traced: str = ""
+
+
+@dataclass(frozen=True)
+class Depends:
+    """All variables of an axis.
+
+    Attributes:
+        dependences: what explains most first.
+        chance: share that any of them, moved in time, explains.
+        first: what is named; None where nothing explains more than chance.
+        ties: what explains as much as that in these recordings, but for five in a hundred.
+    """
+
+    dependences: tuple[Dependence, ...]
+    chance: float
+    first: Dependence | None = None
+    ties: tuple[Dependence, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """The variable, or those that these recordings cannot tell apart."""
+        if self.first is None:
+            return ""
+        return " or ".join(dict.fromkeys(d.variable for d in (self.first, *self.ties)))
+
+
+def depends(
+    design: Design, positions: Sequence[str], seed: int = 0, ratios: Mapping[str, float] | None = None
+) -> Depends:
+    """What a missing force depends on.
+
+    Args:
+        positions: names of the axis's measured positions.
+        ratios: what turns -> radians of it for each radian of the joint, to trace periods by.
+    """
+    predictor = Predictor(design)
+    every = variables(design, positions)
+    rng = np.random.default_rng(seed)
+    drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
+    chance = float(np.quantile([_by_chance(design, predictor, every, moved) for moved in drawn], 1.0 - LEVEL))
+    found: list[tuple[Dependence, Explained]] = []
+    for variable in every:
+        e = predictor.explained(variable.columns(design), curve=True)
+        known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
+        found.append((Dependence(variable.name, variable.curve, variable.place, *known), e))
+    found += waves(design, predictor, positions, chance, seed, ratios or {})
+    found.sort(key=lambda pair: -pair[0].share)
+    ordered = tuple(d for d, _ in found)
+    best = found[0][1]
+    near = [d for d, e in found if d.named and (e.share > best.share - ALIKE or not _better(best, e, seed))]
+    if not near:
+        return Depends(ordered, chance)
+    # Waves have a period of their own to choose, so a smooth curve that explains as much is likelier.
+    smooth = [d for d in near if not d.period]
+    first = min(smooth or near, key=lambda d: PLAIN.index(d.curve))
+    first = next((d for d in near if d.period and (d.curve, d.place) == (first.curve, first.place)), first)
+    same = {first.curve, *(FRICTION if first.curve == "curve_speed" else ())}
+    ties = [d for d in near if d.place != first.place or d.curve not in same]
+    return Depends(ordered, chance, first, tuple(ties))
+
+
+def _by_chance(design: Design, predictor: Predictor, every: Sequence[Variable], moved: Sequence[float]) -> float:
+    """The largest share that any variable, or waves of any period, explain once moved in time."""
+    forces = [v for v in every if v.signal is None]
+    tried = [sines(design, float(p)) for p in periods(design)[::3]]
+    stacked = [np.hstack(rows) for rows in zip(*(v.rows for v in forces), *tried, strict=True)]
+    columns = design.columns(stacked, None, moved)
+    split = KNOTS * len(forces)
+    blocks = np.split(columns[:, :split], len(forces), axis=1)
+    blocks += [v.columns(design, moved) for v in every if v.signal is not None]
+    shares = [predictor.explained(block, curve=True).share for block in blocks]
+    shares += [predictor.explained(block).share for block in np.split(columns[:, split:], len(tried), axis=1)]
+    return max(shares)
+
+
+def _better(one: Explained, other: Explained, seed: int) -> bool:
+    """Whether one explains more than another in all but LEVEL of the draws of stretches."""
+    gains = other.stretches[:, 1] - one.stretches[:, 1]
+    rng = np.random.default_rng(seed)
+    counts = rng.multinomial(len(gains), np.full(len(gains), 1.0 / len(gains)), DRAWS)
+    return bool(np.quantile(counts @ gains, LEVEL) > 0.0)
+
+
+def _matters(design: Design, share: float, chance: float) -> bool:
+    """Whether a share of the misfit is more than chance explains, and as much as is worth telling."""
+    return share > max(chance, 0.0) and share * float(np.mean(design.y**2)) >= SETTINGS.material
+
+
+def _shifts(design: Design, rng: np.random.Generator) -> Iterator[float]:
+    for play in design.plays:
+        least = min(LEAST_SHIFT / max(float(play.nodes[-1]), 1e-9), 0.4)
+        yield float(rng.uniform(least, 1.0 - least))
+
+
+def sines(design: Design, period: float, signal: int | None = None) -> list[Array]:
+    """Of each play (n, 2) sine and cosine over the angle, at its nodes or a sensor's samples."""
+    turns = [2.0 * np.pi * angle / period for angle in design.angles(signal)]
+    return [np.column_stack([np.sin(turn), np.cos(turn)]) for turn in turns]
+
+
+def periods(design: Design) -> Array:
+    """(P,) rad, of waves over the angle that the visited range can tell."""
+    span = max(float(np.ptp(p.motion.angle)) for p in design.plays)
+    return np.geomspace(span / MOST_WAVES, span / LEAST_WAVES, PERIODS)
+
+
+def waves(
+    design: Design, predictor: Predictor, positions: Sequence[str], chance: float, seed: int,
+    ratios: Mapping[str, float],
+) -> list[tuple[Dependence, Explained]]:  # fmt: skip
+    """Waves over the angle, of a force and of each sensor, by the period that explains most."""
+    missing, tried = design.missing, periods(design)
+    ways: list[tuple[str, str, str, int | None]] = [("angle", "curve_angle", missing.axis, None)]
+    ways += [("angle, as a sensor's error", "curve_sensor", missing.signals[i], i) for i in sensors(design, positions)]
+    found = []
+    for name, which, place, signal in ways:
+
+        def explained(period: float, signal: int | None = signal) -> Explained:
+            return predictor.explained(design.columns(sines(design, period, signal), signal))
+
+        def share(period: float, explained: Callable[[float], Explained] = explained) -> float:
+            return explained(period).share
+
+        best = refined(share, tried, int(np.argmax([share(float(p)) for p in tried])))
+        e = explained(best)
+        known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
+        found.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
+    return found
+
+
+def refined(share: Callable[[float], float], tried: Array, best: int) -> float:
+    """The value about the best of those tried that explains most, by golden sections in the logarithm."""
+    low, high = np.log(tried[max(best - 1, 0)]), np.log(tried[min(best + 1, len(tried) - 1)])
+    part = 0.5 * (np.sqrt(5.0) - 1.0)
+    a, b = high - part * (high - low), low + part * (high - low)
+    fa, fb = share(float(np.exp(a))), share(float(np.exp(b)))
+    for _ in range(14):
+        if fa > fb:
+            high, b, fb = b, a, fa
+            a = high - part * (high - low)
+            fa = share(float(np.exp(a)))
+        else:
+            low, a, fa = a, b, fb
+            b = low + part * (high - low)
+            fb = share(float(np.exp(b)))
+    return float(np.exp(0.5 * (low + high)))
+
+
+def traced(period: float, ratios: Mapping[str, float]) -> str:
+    """What turns a whole number of times, up to 60 waves a turn, in this period of the joint, rad.
+
+    Of several the one with the fewest waves a turn, for most of what is not round has one or two.
+    """
+    found = []
+    for name, ratio in ratios.items():
+        waves_a_turn = 2.0 * np.pi / (period * abs(ratio))
+        whole = round(waves_a_turn)
+        if 1 <= whole <= MOST_A_TURN and abs(waves_a_turn - whole) < NEAR_WHOLE * min(whole, 10):
+            found.append((whole, name))
+    if not found:
+        return ""
+    whole, name = min(found)
+    return f"{whole} wave{'s' if whole > 1 else ''} a turn of the {name}"

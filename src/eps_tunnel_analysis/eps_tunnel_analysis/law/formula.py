@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A formula for a missing force: a few terms of a dictionary, chosen one after the other by what they predict where it
+was left out.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.law.added_force import Motion
+from eps_tunnel_analysis.law.depends import Design, Predictor, moving, periods, refined
+from labyrinth_sim.trials import Array
+
+MOST_TERMS = 4
+SIMPLER = 0.01  # of the misfit, that one more number in a term must explain
+SHAPES = 9  # values tried of a speed or time that shapes a term
+SURE = 0.0  # lower end of the interval of what one more term explains
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a term: `times` says how far its bounds lie from the fitted value; 0 bounds a phase."""
+
+    name: str
+    unit: str
+    switches: bool
+    times: float
+
+
+@dataclass(frozen=True)
+class Term:
+    """One entry of the dictionary.
+
+    Attributes:
+        name: prefix of its parameters.
+        acts: "torque", "friction", "damping" or "sensor".
+        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`.
+        equation: the same for people.
+        numbers: those of the formula, amplitudes first.
+        shape: values of the number that is not linear; empty where all are.
+        columns: (K, 1 or 2) of a motion and the shape's value; of 2, sine and cosine.
+        needs: "memory" for since and time, "other_axis".
+    """
+
+    name: str
+    acts: str
+    formula: str
+    equation: str
+    numbers: tuple[Number, ...]
+    shape: tuple[float, ...]
+    columns: Callable[[Motion, float], Array]
+    needs: str = ""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A term with its numbers, by name, from the linear problem."""
+
+    term: Term
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Terms, and the share of the misfit that they explain together where it was left out, with its 90 % interval."""
+
+    terms: tuple[Chosen, ...]
+    share: float
+    interval: tuple[float, float]
+
+
+def _column(values: Array) -> Array:
+    return np.asarray(values[:, None])
+
+
+def _waves(angle: Array, period: float, factor: Array | float = 1.0) -> Array:
+    turn = 2.0 * np.pi * angle / period
+    return np.column_stack([factor * np.sin(turn), factor * np.cos(turn)])
+
+
+def dictionary(design: Design) -> list[Term]:
+    """Every term that may act as a force on this axis."""
+    motions = [p.motion for p in design.plays]
+    fast = max(float(np.abs(m.speed).max()) for m in motions)
+    long = max(float(m.time[-1]) for m in motions)
+    waves = tuple(float(p) for p in periods(design))
+    speeds = tuple(float(v) for v in np.geomspace(0.003, 0.5, SHAPES) * fast)
+    times = tuple(float(t) for t in np.geomspace(0.02, 1.0, SHAPES))
+    torque, per_rad = "N m", "N m/rad"
+    size = Number("size", torque, True, 3.0)
+    wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
+    terms = [
+        Term("constant", "torque", "{size}", "T", (size,), (), lambda m, _: _column(np.ones_like(m.time))),
+        Term("wave", "torque", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
+             "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
+        Term("spring", "torque", "-{stiffness} * angle", "-k angle", (Number("stiffness", per_rad, True, 3.0),), (),
+             lambda m, _: _column(-m.angle)),
+        Term("bend", "torque", "{size} * angle**2", "c angle^2", (Number("size", "N m/rad^2", True, 3.0),), (),
+             lambda m, _: _column(m.angle**2)),
+        Term("cubic", "torque", "-{size} * angle**3", "-c angle^3", (Number("size", "N m/rad^3", True, 3.0),), (),
+             lambda m, _: _column(-(m.angle**3))),
+        Term("friction", "friction", "{size}", "F sign(speed)", (size,), (), lambda m, _: _column(moving(m))),
+        Term("stribeck", "friction", "{size} * np.exp(-((speed / {slow}) ** 2))",
+             "F exp(-(speed / v)^2) sign(speed)", (size, Number("slow", "rad/s", False, 10.0)), speeds,
+             lambda m, v: _column(moving(m) * np.exp(-((m.speed / v) ** 2)))),
+        Term("viscous", "damping", "{damping}", "B speed", (Number("damping", "N m s/rad", True, 3.0),), (),
+             lambda m, _: _column(-m.speed)),
+        Term("drag", "damping", "{size} * np.abs(speed)", "C speed |speed|",
+             (Number("size", "N m s^2/rad^2", True, 3.0),), (), lambda m, _: _column(-m.speed * np.abs(m.speed))),
+        Term("load", "friction", "{share} * carried", "mu |load| sign(speed)", (Number("share", "1", True, 3.0),), (),
+             lambda m, _: _column(moving(m) * m.load)),
+        Term("tight", "friction", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
+             "F sin(2 pi angle / L + phase) sign(speed)", wave, waves, lambda m, p: _waves(m.angle, p, moving(m))),
+        Term("fading", "friction", "{size} * np.exp(-since / {after})",
+             "F exp(-(time since reversal) / T) sign(speed)", (size, Number("after", "s", False, 10.0)), times,
+             lambda m, t: _column(-m.direction * np.exp(-m.since / t)), "memory"),
+        Term("warming", "friction", "{size} * np.exp(-time / {after})", "F exp(-time / T) sign(speed)",
+             (size, Number("after", "s", False, 10.0)), tuple(float(t) for t in np.array([0.2, 0.5, 1.0, 2.0]) * long),
+             lambda m, t: _column(moving(m) * np.exp(-m.time / t)), "memory"),
+    ]  # fmt: skip
+    if all(m.other.size for m in motions):
+        terms += [
+            Term("coupling", "torque", "{stiffness} * other", "k other", (Number("stiffness", per_rad, True, 3.0),),
+                 (), lambda m, _: _column(m.other), "other_axis"),
+            Term("rubbing", "friction", "{slope} * np.abs(other)", "F |other| sign(speed)",
+                 (Number("slope", per_rad, True, 3.0),), (), lambda m, _: _column(moving(m) * np.abs(m.other)),
+                 "other_axis"),
+        ]  # fmt: skip
+    return terms
+
+
+def sensor_dictionary(design: Design) -> list[Term]:
+    """Every term that may be a sensor's error over what it measures."""
+    waves = tuple(float(p) for p in periods(design))
+    size = Number("size", "rad", True, 3.0)
+    wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
+    return [
+        Term("offset", "sensor", "{size} + 0.0 * angle", "b", (size,), (), lambda m, _: _column(np.ones_like(m.angle))),
+        Term("scale", "sensor", "{share} * angle", "g angle", (Number("share", "1", True, 3.0),), (),
+             lambda m, _: _column(m.angle)),
+        Term("bend", "sensor", "{size} * angle**2", "c angle^2", (Number("size", "1/rad", True, 3.0),), (),
+             lambda m, _: _column(m.angle**2)),
+        Term("wave", "sensor", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
+             "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
+    ]  # fmt: skip
+
+
+def formula(design: Design, terms: Sequence[Term], signal: int | None = None, seed: int = 0) -> Formula:
+    """The terms that explain most, one after the other, until one more does not matter.
+
+    Args:
+        terms: to choose from.
+        signal: number of the sensor whose error it is; None for a force.
+    """
+    chosen: list[tuple[Term, float]] = []
+    always = np.empty((len(design.y), 0))
+    floor = float(np.mean(design.y**2))
+    least = max(SETTINGS.material / max(floor, 1e-9), SETTINGS.share)
+    whole = Predictor(design)
+    known: dict[tuple[str, float], Array] = {}
+    reached = 0.0
+    while len(chosen) < MOST_TERMS:
+        predictor = Predictor(design, always)
+        best: tuple[float, Term, float] | None = None
+        for term in terms:
+            if any(term is other and not term.shape for other, _ in chosen):
+                continue
+            shape, share = _best_shape(design, predictor, term, signal, known)
+            score = share - SIMPLER * len(term.numbers)
+            if best is None or score > best[0]:
+                best = score, term, shape
+        if best is None:
+            break
+        _, term, shape = best
+        more = np.hstack([always, _columns(design, term, shape, signal)])
+        together = whole.explained(more)
+        gained = predictor.explained(more[:, always.shape[1] :])
+        if together.share - reached < least or gained.interval(seed)[0] <= SURE:
+            break
+        chosen.append((term, shape))
+        always, reached = more, together.share
+    if not chosen:
+        return Formula((), 0.0, (0.0, 0.0))
+    last = whole.explained(always)
+    return Formula(tuple(_values(chosen, last.weights)), last.share, last.interval(seed))
+
+
+def _columns(design: Design, term: Term, shape: float, signal: int | None) -> Array:
+    if signal is None:
+        rows = [np.column_stack([p.at_nodes(c) for c in term.columns(p.motion, shape).T]) for p in design.plays]
+    else:
+        rows = [term.columns(_only_angle(angle), shape) for angle in design.angles(signal)]
+    return design.columns(rows, signal)
+
+
+def _only_angle(angle: Array) -> Motion:
+    none = np.empty(0)
+    return Motion(none, angle, none, none, none, none, none, none, none)
+
+
+def _best_shape(
+    design: Design, predictor: Predictor, term: Term, signal: int | None, known: dict[tuple[str, float], Array]
+) -> tuple[float, float]:
+    """The value that shapes a term best, and the share that it explains then; `known` keeps columns tried before."""
+
+    def share(shape: float) -> float:
+        return predictor.explained(_columns(design, term, shape, signal)).share
+
+    def share_again(shape: float) -> float:
+        if (term.name, shape) not in known:
+            known[term.name, shape] = _columns(design, term, shape, signal)
+        return predictor.explained(known[term.name, shape]).share
+
+    if not term.shape:
+        return 0.0, share_again(0.0)
+    tried = [share_again(shape) for shape in term.shape]
+    best = refined(share, np.array(term.shape), int(np.argmax(tried)))
+    return best, share(best)
+
+
+def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen]:
+    found, first = [], 0
+    for term, shape in chosen:
+        names = [n.name for n in term.numbers]
+        if names == ["size", "period", "phase"]:
+            sine, cosine = weights[first], weights[first + 1]
+            values = {"size": float(np.hypot(sine, cosine)), "period": shape, "phase": float(np.arctan2(cosine, sine))}
+            first += 2
+        else:
+            values = dict(zip(names, (float(weights[first]), shape), strict=False))
+            first += 1
+        found.append(Chosen(term, values))
+    return found

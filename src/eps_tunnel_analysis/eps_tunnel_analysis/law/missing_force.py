@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The force that a model lacks over time: added in the roll-out, it closes the gap to what was measured.
+
+Forces at nodes 20 ms apart, linear between them, solve a least-squares problem in the residuals of positions and
+efforts together, linearised about the roll-out; then once more about the roll-out with the force found. Its bandwidth
+is the smoothness that predicts samples best that were left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
+from eps_tunnel_analysis.diagnose.rank import worst_floors
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.law.added_force import Motion, Playing
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.model import Model
+from labyrinth_sim.trials import Array
+
+SPACING = 0.02  # s between nodes
+DECAYED = 1.5  # s after which a push is forgotten, so that one roll-out answers several
+PUSH = 0.2  # of the drive's torque, root mean square: to see how the motion answers
+LEAST_PUSH = 1e-4  # N m
+SMOOTH = np.geomspace(1e-3, 1e3, 7)  # of the curvature's weight, tried
+LEFT_OUT = 4  # neighbouring samples, left out together
+FOLDS = 2
+PASSES = 6  # linearisations at most, and
+SETTLED = 0.1  # of the residuals' change by which a roll-out may differ from what its linearisation promised
+DIFFERENCE = 1e-3  # of a value's bounds' span
+
+
+@dataclass(frozen=True)
+class PlayAnswer:
+    """One play, linearised: R residuals in units of the noise floor, n nodes.
+
+    Attributes:
+        motion: of the axis, with the missing force added.
+        nodes: (n,) s.
+        residuals: (R,) that the model leaves without any force.
+        answer: (R, n) by the force at each node, 1/(N m).
+        base: (R, k) by the values refitted besides, each in shares of its bounds' span.
+        time: (R,) s; `signal` (R,) which of the compared; `fold` (R,) stretch of time.
+        scale: (R,) the noise floor in the signal's unit.
+        force, band: (n,) N m missing, and its standard deviation.
+    """
+
+    motion: Motion
+    nodes: Array
+    residuals: Array
+    answer: Array
+    base: Array
+    time: Array
+    signal: NDArray[np.int64]
+    fold: NDArray[np.int64]
+    scale: Array
+    force: Array
+    band: Array
+
+    def at_nodes(self, values: Array) -> Array:
+        """(n,) of a quantity over the motion's steps (K,)."""
+        return np.interp(self.nodes, self.motion.time, values)
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """What one axis lacks.
+
+    Attributes:
+        axis: its name; `signals` those compared.
+        unit: of the force.
+        plays: one for each recording.
+        smoothness: weight of the curvature that predicts left-out samples best.
+        floors: mean square of the residuals in units of the noise floor, without the force and with it.
+    """
+
+    axis: str
+    signals: tuple[str, ...]
+    unit: str
+    plays: tuple[PlayAnswer, ...]
+    smoothness: float
+    floors: tuple[float, float]
+
+    @property
+    def worst(self) -> float:
+        """Floors left of the worst signal without the force: others with a wide floor would hide it."""
+        residuals, signal = (
+            np.concatenate(parts) for parts in zip(*((p.residuals, p.signal) for p in self.plays), strict=True)
+        )
+        return worst_floors(residuals, signal)
+
+
+def missing_force(
+    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, passes: int = PASSES
+) -> MissingForce:
+    """The force that one axis lacks.
+
+    Args:
+        model: refitted.
+        plays: recorded.
+        part: of the axis: what is compared, and the values that may move besides.
+    """
+    search = axis_search(model, plays, part, SearchOptions((), nthread))
+    folds = search.evidence.fold(SETTINGS.block)
+    playing = Playing(model, plays, part.axis, part.signals, part.base, nthread=nthread)
+    sizes = [sum(len(n.time) for n in p.noise) for p in playing.plays]
+    owner = np.repeat(np.arange(len(sizes)), sizes)
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    forces = [np.zeros(playing.count(p)) for p in range(len(plays))]
+    grids = [_grid(playing.evidence[p].times(0)) for p in range(len(plays))]
+    smoothness = 1.0
+    answers: list[PlayAnswer] = []
+    for number in range(passes):
+        parts = []
+        for p in range(len(plays)):
+            mine = owner[search.used] == p
+            used, scale = search.used[mine] - first[p], search.scale[mine]
+            parts.append(_linearised(playing, p, forces[p], grids[p], used, scale, search.high - search.low))
+        if number and _settled(answers, parts):
+            break
+        if number == 0:
+            smoothness = _bandwidth([(y, a) for _, _, y, a, _ in parts])
+        answers = []
+        for p, (motion, nodes, residuals, answer, base) in enumerate(parts):
+            mine = owner[search.used] == p
+            force, band = _smoothed(residuals, answer, smoothness)
+            forces[p] = grids[p][1].T @ force
+            answers.append(
+                PlayAnswer(
+                    motion, nodes, residuals, answer, base, search.evidence.time[search.used][mine],
+                    search.signal[mine], folds[search.used][mine], search.scale[mine], force, band,
+                )
+            )  # fmt: skip
+    left = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
+    here = np.concatenate([a.residuals for a in answers])
+    slides = next(a for a in model.rig.axes if a.name == part.axis).slides
+    floors = float(np.mean(here**2)), float(np.mean(left**2))
+    return MissingForce(part.axis, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors)
+
+
+def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, Array, Array]]) -> bool:
+    """Whether roll-outs with the forces found leave what the last linearisation promised."""
+    promised = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
+    left = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
+    return bool(np.mean((left - promised) ** 2) < SETTLED * max(float(np.mean(promised**2)), 1.0))
+
+
+def _grid(times: Array) -> tuple[Array, Array]:
+    """(n,) s of the nodes and (n, K) weight of each at each step, linear between nodes."""
+    count = max(2, round(times[-1] / SPACING) + 1)
+    nodes = np.linspace(0.0, times[-1], count)
+    place = np.clip(times / times[-1] * (count - 1), 0.0, count - 1.0)
+    weights = np.clip(1.0 - np.abs(place[None, :] - np.arange(count)[:, None]), 0.0, 1.0)
+    return nodes, weights
+
+
+def _linearised(
+    playing: Playing, play: int, force: Array, grid: tuple[Array, Array], used: NDArray[np.int64], scale: Array,
+    span: Array,
+) -> tuple[Motion, Array, Array, Array, Array]:  # fmt: skip
+    """Motion, nodes, residuals without any force, and how they answer forces at the nodes and base values."""
+    nodes, weights = grid
+    motion = playing.motion(play, force)
+    push = max(PUSH * float(np.sqrt(np.mean(motion.drive**2))), LEAST_PUSH)
+    apart = max(1, round(DECAYED / (nodes[1] - nodes[0])))
+    rows = min(apart, len(nodes))
+    table = np.tile(force, (rows + 1, 1))
+    for row in range(rows):
+        table[row + 1] += push * weights[row::apart].sum(axis=0)
+    seen = playing.residuals(play, table)[:, used] / scale
+    changes = np.nan_to_num(seen[1:] - seen[0]) / push
+    evidence = playing.evidence[play]
+    time = evidence.time[used]
+    answer = np.zeros((len(used), len(nodes)))
+    for row in range(rows):
+        own = np.arange(row, len(nodes), apart)
+        # Of several pushes the last one before a sample is what it answers; a node acts from the one before on.
+        last = np.searchsorted(nodes[own] - (nodes[1] - nodes[0]), time, side="right") - 1
+        known = np.flatnonzero(last >= 0)
+        answer[known, own[last[known]]] = changes[row, known]
+    base = np.empty((len(used), len(playing.values)))
+    if len(playing.values):
+        infos = playing.model.parameters()
+        bounds = [(infos[n].low, infos[n].high) for n in playing.free]
+        steps = np.array([DIFFERENCE * (high - low) * (1.0 if v + DIFFERENCE * (high - low) <= high else -1.0)
+                          for (low, high), v in zip(bounds, playing.values, strict=True)])  # fmt: skip
+        moved = playing.values + np.diag(steps)
+        shown = playing.residuals(play, np.tile(force, (len(steps), 1)), moved)[:, used] / scale
+        base = (np.nan_to_num(shown - seen[0]) / (steps / span[: len(steps)])[:, None]).T
+    at_nodes = np.interp(nodes, evidence.times(0), force)
+    return motion, nodes, seen[0] - answer @ at_nodes, answer, base
+
+
+def _penalty(count: int) -> Array:
+    """(n, n) of the squared curvature, and a little of the force itself, where nothing is seen of it."""
+    bends = np.diff(np.eye(count), 2, axis=0)
+    return np.asarray(bends.T @ bends + 1e-4 * np.eye(count))
+
+
+def _scaled_penalty(gram: Array, weight: float) -> Array:
+    size = float(np.trace(gram)) / len(gram)
+    return weight * max(size, 1e-30) * _penalty(len(gram))
+
+
+def _smoothed(residuals: Array, answer: Array, weight: float) -> tuple[Array, Array]:
+    """(n,) force and its standard deviation."""
+    gram = answer.T @ answer
+    factor = cho_factor(gram + _scaled_penalty(gram, weight))
+    force = -cho_solve(factor, answer.T @ residuals)
+    left = float(np.mean((residuals + answer @ force) ** 2))
+    spread = max(left, 1.0) * SETTINGS.correlated / 10.0
+    inverse = cho_solve(factor, np.eye(len(gram)))
+    return np.asarray(force), np.sqrt(spread * np.diag(inverse))
+
+
+def _bandwidth(parts: Sequence[tuple[Array, Array]]) -> float:
+    """The weight of the curvature by which left-out samples are predicted best."""
+    costs = np.zeros(len(SMOOTH))
+    for residuals, answer in parts:
+        fold = (np.arange(len(residuals)) // LEFT_OUT) % FOLDS
+        for f in range(FOLDS):
+            out = fold == f
+            gram, right = answer[~out].T @ answer[~out], answer[~out].T @ residuals[~out]
+            for i, weight in enumerate(SMOOTH):
+                force = -cho_solve(cho_factor(gram + _scaled_penalty(gram, weight)), right)
+                costs[i] += float(np.sum((residuals[out] + answer[out] @ force) ** 2))
+    return float(SMOOTH[int(np.argmin(costs))])

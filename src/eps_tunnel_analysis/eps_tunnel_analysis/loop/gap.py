@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gap that one play shows, from the bags of both sides."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.compare import Comparison, compare
+from eps_tunnel_analysis.diagnose.repeats import repeats
+from eps_tunnel_analysis.loop.rig import Bags
+from eps_tunnel_analysis.outputs import circumstances, new_folder, versions
+from eps_tunnel_analysis.recording import Recording, read, to_trials
+from eps_tunnel_analysis.report.next_step import after_comparison
+from eps_tunnel_analysis.report.reports import write_comparison
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.rig import Rig
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A play compared.
+
+    Attributes:
+        comparison: of the positions.
+        notes: what was left out.
+        jitter: s, by which samples or commands of the real trials seem to have come early or late; 0 where they repeat.
+    """
+
+    comparison: Comparison
+    notes: tuple[str, ...]
+    jitter: float
+
+    @property
+    def error(self) -> float:
+        """Equation 10, mean over the signals: rad."""
+        return float(np.nanmean([e.command_error for e in self.comparison.errors]))
+
+    @property
+    def repeats(self) -> float:
+        """What the rig itself does not repeat: RMS about the mean of its trials, mean over the signals; rad."""
+        return float(np.nanmean([e.repeat_rms for e in self.comparison.errors]))
+
+    @property
+    def alikeness(self) -> dict[float, float]:
+        """Joint share of alike samples by k."""
+        return {a.k_real: a.joint for a in self.comparison.alikeness}
+
+    @property
+    def itself(self) -> float:
+        """Joint share that the rig reaches against itself at the smallest k; NaN with too few trials."""
+        known = self.comparison.against_itself
+        return known[0].joint if known else float("nan")
+
+
+def measure_gap(bags: Bags, rig: Rig, ks: Sequence[float] = KS) -> Gap:
+    """Compares the measured positions of both sides.
+
+    Signals that were not measured throughout every trial, as on a machine that was too busy, are left out, with a note.
+
+    Raises:
+        InputError: unreadable bags, or no signal left.
+    """
+    real, sim = ([read(path) for path in paths] for paths in (bags.real, bags.sim))
+    names, notes = _throughout([*real, *sim], rig)
+    trials = to_trials(real, rig, signals=names).trials
+    comparison = compare(trials, to_trials(sim, rig, signals=names).trials, ks)
+    return Gap(comparison, (*notes, *comparison.notes), max(r.jitter for r in repeats(trials, names)))
+
+
+def write_gap(gap: Gap, bags: Bags, folder: Path, name: str, model: str) -> None:
+    """Report and tables, as `compare` writes them, into a new folder; `name` and path of the model simulated."""
+    command = ["eps-tunnel", "compare", "--real", *map(str, bags.real), "--sim", *map(str, bags.sim)]
+    facts = [
+        *(("real bag", str(bag)) for bag in bags.real),
+        *(("simulated bag", str(bag)) for bag in bags.sim),
+        *(("note", note) for note in gap.notes),
+        *circumstances(command),
+    ]
+    sources = [[kind, value] for kind, value in facts if kind.endswith("bag")]
+    content = {"command": "compare", "versions": versions(), "sources": sources, **gap.comparison.to_json()}
+    content["notes"] = list(gap.notes)
+    with new_folder(folder) as partial:
+        step = after_comparison(gap.comparison, bags.real, model, None)
+        write_comparison(partial, gap.comparison, content, name, facts, step, folder, pictures=False)
+
+
+def _throughout(recordings: Sequence[Recording], rig: Rig) -> tuple[list[str], list[str]]:
+    """The positions measured throughout, and what is said of the others."""
+    left_out: dict[str, str] = {}
+    names = [m.signal for m in rig.measured if m.quantity == "position"]
+    for name in names:
+        for recording in recordings:
+            try:
+                to_trials([recording], rig, signals=[name])
+            except InputError as error:
+                left_out[name] = f"{name} is left out. {error}"
+    if len(left_out) == len(names):
+        raise InputError(list(left_out.values()))
+    return [name for name in names if name not in left_out], list(left_out.values())

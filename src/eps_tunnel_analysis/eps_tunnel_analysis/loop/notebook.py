@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The notebook of an experimenter: Markdown with pictures, whole on disk after every entry."""
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording
+from eps_tunnel_analysis.loop.experimenter import Added, Ending, Played, Step, Tested, heading
+from eps_tunnel_analysis.loop.reason import Reason
+from eps_tunnel_analysis.loop.rig import RigFailed
+from eps_tunnel_analysis.outputs import shown_share, shown_value
+from eps_tunnel_analysis.phases import sentences
+from eps_tunnel_analysis.report.pictures import (
+    gap_picture,
+    hypotheses_picture,
+    left_over_picture,
+    save,
+    staircase_picture,
+)
+from labyrinth_sim.whole_file import write_anew
+
+NOTEBOOK_FILE = "notebook.md"
+MOST = 3  # sentences on where it fails
+
+
+class Notebook:
+    """notebook.md in a folder, and pictures beside it."""
+
+    def __init__(self, folder: Path, title: str, *lines: str) -> None:
+        self._folder, self._count = folder, 0
+        self._pages = [f"# {title}", *lines]
+        self._write()
+
+    @property
+    def path(self) -> Path:
+        """Of the Markdown file."""
+        return self._folder / NOTEBOOK_FILE
+
+    def entry(self, heading: str, *blocks: str) -> None:
+        """A numbered entry with the time of day; the file is replaced at once."""
+        self._count += 1
+        now = datetime.now(UTC).strftime("%H:%M:%S UTC")
+        self._pages += [f"## {self._count}. {heading}", f"*{now}*", *(block for block in blocks if block)]
+        self._write()
+
+    def picture(self, figure: Figure, name: str, text: str) -> str:
+        """Saves a picture and returns the Markdown that shows it; `text` says what it shows."""
+        file = f"{self._count + 1:02d}_{name}.png"
+        save(figure, self._folder / file)
+        return f"![{text}]({file})"
+
+    def link(self, text: str, path: Path) -> str:
+        """Markdown for a file, as seen from the notebook."""
+        return f"[{text}]({Path(os.path.relpath(path, self._folder)).as_posix()})"
+
+    def keep(self, steps: Iterable[Step], say: Callable[[str], None]) -> Ending:
+        """Writes each step down as it comes, and says it in a line; what interrupts them is written down, too.
+
+        Raises:
+            KeyboardInterrupt, RigFailed, InputError: as the steps do.
+        """
+        try:
+            for step in steps:
+                self.entry(heading(step), *self._page(step))
+                say(heading(step))
+                if isinstance(step, Ending):
+                    return step
+                if isinstance(step, Played):
+                    say("Diagnosing ...")
+        except KeyboardInterrupt:
+            self._early("Interrupted", "By Ctrl-C. Everything above is on disk.", say)
+            raise
+        except (RigFailed, ValueError) as error:
+            self._early("The run ended early", str(error), say)
+            raise
+        raise RuntimeError("The steps ended without an ending.")
+
+    def _early(self, heading: str, text: str, say: Callable[[str], None]) -> None:
+        self.entry(heading, text)
+        say(heading)
+
+    def _page(self, step: Step) -> list[str]:
+        match step:
+            case Played():
+                return gap_page(step, self)
+            case Reason():
+                return diagnosis_page(step, self)
+            case Added():
+                return addition_page(step, self)
+            case Tested():
+                return law_page(step, self)
+            case Ending():
+                return ending_page(step, self)
+
+    def _write(self) -> None:
+        write_anew(self.path, "\n\n".join(self._pages) + "\n")
+
+
+def markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown, words left and the other columns right."""
+    lines = [list(columns), ["---", *["---:"] * (len(columns) - 1)], *map(list, rows)]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def gap_page(played: Played, notebook: Notebook) -> list[str]:
+    """Error and alikeness, where it fails, and a picture."""
+    gap = played.gap
+    c = gap.comparison
+    rows = [
+        (
+            e.signal,
+            shown_value(e.command_error, e.unit),
+            shown_value(e.repeat_rms, e.unit),
+            *(shown_share(a.shares[e.signal]) for a in c.alikeness),
+        )
+        for e in c.errors
+    ]
+    rows.append(("jointly", "", "", *(shown_share(a.joint) for a in c.alikeness)))
+    if c.against_itself:
+        rows.append(("the rig against itself, jointly", "", "", *(shown_share(a.joint) for a in c.against_itself)))
+    columns = ("signal", "error E", "rig repeats within", *(f"alike, k = {a.k_real:g}" for a in c.alikeness))
+    return [
+        markdown_table(columns, rows),
+        "\n".join(f"- {sentence}" for sentence in [*sentences(c.where)[:MOST], *gap.notes]),
+        notebook.picture(gap_picture(c), "gap", "simulation in the tunnel of the real trials"),
+        notebook.link("report", played.report),
+    ]
+
+
+def diagnosis_page(reason: Reason, notebook: Notebook) -> list[str]:
+    """Sentence, probabilities, what is left, notes."""
+    d, v = reason.diagnosis, reason.diagnosis.verdict
+    floors = ", ".join(f"{axis}: {old**0.5:.1f} before, {new**0.5:.1f} after" for axis, (old, new) in v.floor.items())
+    return [
+        f"**{v.sentence}**",
+        notebook.picture(hypotheses_picture(v), "hypotheses", "probabilities of the hypotheses"),
+        notebook.picture(
+            left_over_picture(d.before, d.after if v.effects else None), "left_over", "simulation minus real"
+        ),
+        f"Misfit in units of the noise floor, below which no model goes far: {floors}.",
+        "\n".join(f"- {note}" for note in v.notes),
+        f"{v.evaluations} roll-outs in {v.seconds:.0f} s, {notebook.link('report', reason.report)}",
+    ]
+
+
+def addition_page(added: Added, notebook: Notebook) -> list[str]:
+    """Why it was added, what was fitted, and what that is worth, recording by recording."""
+    addition = added.addition
+    rows = [(name, f"{value:.5g}") for name, value in addition.values.items()]
+    return [
+        added.why,
+        markdown_table(("parameter", "value"), rows),
+        addition.sentence,
+        markdown_table(RECORDING_COLUMNS, [one.row for one in by_recording(addition.plays)]),
+        f"Loaded into the simulation: {notebook.link(added.file.name, added.file)}",
+    ]
+
+
+def law_page(tested: Tested, notebook: Notebook) -> list[str]:
+    """What is proposed, what another command says of it, and its files."""
+    folder = tested.reason.folder
+    files = [folder / name for name in ("proposed_effect.py", "proposed_model.yaml")]
+    links = ", ".join(notebook.link(file.name, file) for file in files if file.exists())
+    return [f"**{tested.proposal.sentence}**", f"Its files: {links}" if links else ""]
+
+
+def ending_page(ending: Ending, notebook: Notebook) -> list[str]:
+    """Verdict, staircase, and where nothing known explains what is left, the picture of that."""
+    rows = [(s.step, shown_value(s.error, "rad"), *map(shown_share, (s.alikeness, s.itself))) for s in ending.steps]
+    stairs = staircase_picture([(s.step, s.error) for s in ending.steps], ending.steps[-1].repeats)
+    blocks = [
+        f"**{ending.sentence}**",
+        markdown_table(("model", "error E", "alike in every signal, k = 1", "rig against itself"), rows),
+        notebook.picture(stairs, "staircase", "error after each step"),
+    ]
+    diagnosis = ending.last.diagnosis
+    if diagnosis.verdict.verdict == "unknown":
+        left = left_over_picture(diagnosis.before, None)
+        blocks.append(notebook.picture(left, "unknown", "what no known effect explains"))
+    return [*blocks, f"The model, running in the simulation: {notebook.link(ending.model.name, ending.model)}"]

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a robot's model and its recordings share: joints by name, actuators, topics, limits, units."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from eps_tunnel_analysis.recording import Recording, StampedTopic
+from eps_tunnel_analysis.recording.channel_map import namespace_of
+from eps_tunnel_analysis.recording.decode import JOINT_STATE
+from labyrinth_sim.asset import compile_spec, read_spec
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.trials import Array
+
+COMMAND_TOPICS = re.compile(r"(command|cmd|goal|target|desired|reference|action|setpoint)s?$")
+ONE_DEGREE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A compiled MJCF or URDF: its hinge and slide joints by name, and the actuator of each that has one."""
+
+    path: Path
+    mj: mujoco.MjModel
+    joints: tuple[str, ...]
+    actuators: Mapping[str, str]
+
+
+def read_robot(path: Path) -> Robot:
+    """Compiles a model. Raises InputError with MuJoCo's reason."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file. Name an MJCF (.xml) or a URDF (.urdf).")
+    mj = compile_spec(read_spec(path), path)
+    joints = tuple(mj.joint(i).name for i in range(mj.njnt) if int(mj.jnt_type[i]) in ONE_DEGREE and mj.joint(i).name)
+    actuators: dict[str, str] = {}
+    for i in range(mj.nu):
+        if int(mj.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_JOINT) and mj.actuator(i).name:
+            actuators.setdefault(mj.joint(int(mj.actuator_trnid[i, 0])).name, mj.actuator(i).name)
+    if not joints:
+        raise InputError(f"{path}: it has no named hinge or slide joint, so there is nothing to drive.")
+    return Robot(path, mj, joints, actuators)
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Where joint states and commands are in recordings, and the rig file's `topics` entries where that is unusual."""
+
+    states: str
+    commands: str | None
+    entries: Mapping[str, str] = field(default_factory=dict)
+
+
+def find_topics(recording: Recording) -> Topics:
+    """The topics of JointState messages. Raises InputError where no joint is measured."""
+    held = {name: topic for name, topic in recording.topics.items() if topic.type == JOINT_STATE and len(topic)}
+    commands = [name for name in held if COMMAND_TOPICS.search(name.lower())]
+    states = sorted((n for n in held if n not in commands), key=lambda n: (not n.endswith("joint_states"), n))
+    if not states:
+        others = ", ".join(f"{n} ({t.type})" for n, t in recording.topics.items())
+        raise InputError(
+            f"{recording.path}: no topic of joint states ({JOINT_STATE}); it holds {others or 'nothing readable'}."
+        )
+    sent = next((n for n in commands if set(held[n].joints) & set(held[states[0]].joints)), None) or next(
+        iter(commands), None
+    )
+    space = namespace_of(recording)
+    entries = {}
+    for key, name, usual in (("states", states[0], "joint_states"), ("commands", sent, "joint_commands")):
+        own = (name or "").removeprefix(space).strip("/")
+        if name and own != usual:
+            entries[key] = own
+    return Topics(states[0], sent, entries)
+
+
+@dataclass(frozen=True)
+class Match:
+    """One joint of the model and the name that recordings have for it; `why` they are taken for the same."""
+
+    joint: str
+    recorded: str
+    command: str
+    why: str
+
+
+def match_joints(
+    robot: Robot, states: StampedTopic, commands: StampedTopic | None, given: Mapping[str, str]
+) -> list[Match]:
+    """Joints of the model that recordings measure and command.
+
+    Args:
+        given: joint of the model -> recorded name, as a person said.
+
+    Raises:
+        InputError: none match, or a given name does not exist; lists both sides.
+    """
+    recorded, sent = states.joints, commands.joints if commands else ()
+    told = f"The model has {', '.join(robot.joints)}; the recordings measure {', '.join(recorded)}"
+    wrong = [
+        f"--match {j}={r}: no such pair. {told}."
+        for j, r in given.items()
+        if j not in robot.joints or r not in recorded
+    ]
+    if wrong:
+        raise InputError(wrong)
+    if not sent:
+        raise InputError(
+            "The recordings hold no commands. Expected a topic of JointState targets whose name ends in "
+            "'joint_commands', 'command', 'goal' or the like; record what is sent to the drives."
+        )
+    pairs = {j: (r, "as --match says") for j, r in given.items()}
+    for name in recorded:
+        if name in [r for r, _ in pairs.values()]:
+            continue
+        alike = [j for j in robot.joints if j not in pairs and _plain(j) == _plain(name)]
+        if name in robot.joints and name not in pairs:
+            pairs[name] = (name, "the same name")
+        elif len(alike) == 1:
+            pairs[alike[0]] = (name, f"the same name but for its spelling ({name})")
+    if not pairs and len(robot.joints) == len(recorded) == 1:
+        pairs[robot.joints[0]] = (recorded[0], "the only joint on either side")
+    if not pairs:
+        raise InputError(f"No joint matches by name. {told}. Say which is which by --match JOINT=RECORDED.")
+    found = []
+    for joint in robot.joints:
+        if joint in pairs:
+            name, why = pairs[joint]
+            command = name if name in sent else next((s for s in sent if _plain(s) == _plain(name)), None)
+            command = sent[0] if command is None and len(sent) == len(recorded) == 1 else command
+            if command is not None:
+                found.append(Match(joint, name, command, why))
+    if not found:
+        raise InputError(f"No measured joint is commanded. Commands are for {', '.join(sent)}. {told}.")
+    return found
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower()).removesuffix("joint")
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One joint in one recording on an even grid: times (T,) s, and target, position, effort (T,) as recorded.
+
+    NaN where the drive was off, and where there is no effort.
+    """
+
+    time: Array
+    target: Array
+    position: Array
+    effort: Array
+
+
+def sample(recording: Recording, topics: Topics, match: Match, step: float) -> Sampled:
+    """A joint's channels: commands held, measurements interpolated, from the first command on."""
+    from eps_tunnel_analysis.recording.resample import hold, interpolate
+
+    states = recording.topics[topics.states]
+    commands = recording.topics[topics.commands or ""]
+    at, sent = recording.stamps(states.name), recording.stamps(commands.name)
+    first, last = max(int(at[0]), int(sent[0])), int(at[-1])
+    grid = np.arange(first, last, max(round(step * 1e9), 1), dtype=np.int64)
+
+    def read(topic: StampedTopic, stamps: NDArray[np.int64], column: str, held: bool) -> Array:
+        values = topic.columns.get(column)
+        if values is None:
+            return np.full(len(grid), np.nan)
+        good = np.isfinite(values)
+        if held:
+            return hold(stamps[good], values[good], grid, 0.5)
+        return interpolate(stamps[good], values[good], grid, 1.0)
+
+    return Sampled(
+        np.asarray((grid - first) * 1e-9, dtype=np.float64),
+        read(commands, sent, f"{match.command}.position", True),
+        read(states, at, f"{match.recorded}.position", False),
+        read(states, at, f"{match.recorded}.effort", False),
+    )
+
+
+def all_of(samples: Sequence[Sampled], name: str) -> Array:
+    """(n,) of all recordings, finite."""
+    values = np.concatenate([getattr(s, name) for s in samples])
+    return np.asarray(values[np.isfinite(values)])

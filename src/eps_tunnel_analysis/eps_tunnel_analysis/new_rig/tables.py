@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables that other programs logged, as bags: CSV files whose columns are found by name, and LeRobot datasets."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eps_tunnel_analysis.recording.csv_import import CsvColumns, arrays_to_bag, columns_of, csv_to_bag
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.trials import Array
+
+TIME = ("time", "t", "timestamp", "stamp", "seconds", "sec", "time_s", "time_ms", "t_ms")
+WORDS = {
+    "command": ("command", "cmd", "target", "goal", "desired", "setpoint", "reference", "ref", "action", "u"),
+    "velocity": ("velocity", "vel", "speed", "qd", "dq", "qdot"),
+    "effort": ("effort", "torque", "current", "load", "duty", "pwm", "tau", "force"),
+    "position": ("position", "pos", "angle", "measured", "actual", "state", "q", "y"),
+}
+"""Quantity -> words by which a column is told to hold it, as part of its name."""
+
+
+def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tuple[list[Path], list[str]]:
+    """One bag for each CSV file, in a folder, and sentences on what was taken for what.
+
+    Args:
+        joints: names of the model's joints, by which columns are told apart; one joint needs no name.
+
+    Raises:
+        InputError: no column of time or of a position; lists the columns.
+    """
+    notes: list[str] = []
+    bags = []
+    for table in tables:
+        columns = _columns(table, joints, notes)
+        notes += csv_to_bag(table, columns, folder / table.stem)
+        bags.append(folder / table.stem)
+    return bags, list(dict.fromkeys(notes))
+
+
+def _columns(table: Path, joints: Sequence[str], notes: list[str]) -> CsvColumns:
+    numbers = columns_of(table)
+    time = next((name for name in numbers if name.lower() in TIME), None)
+    if time is None:
+        raise InputError(
+            f"{table}: no column of time. Expected one named {', '.join(TIME[:4])}; it has {', '.join(numbers)}. "
+            "Rename it, or use `eps-tunnel import-csv --time COLUMN`, then --bag."
+        )
+    found: dict[str, dict[str, str]] = {quantity: {} for quantity in WORDS}
+    for name in numbers:
+        joint = _joint_of(name, joints) if name != time else None
+        if joint is None:
+            continue
+        quantity = _quantity(name, joint)
+        found[quantity].setdefault(joint, name)
+    if not found["position"]:
+        raise InputError(
+            f"{table}: no column of a position. Expected the joint's name ({', '.join(joints)}), alone or with "
+            f"{', '.join(WORDS['position'][:3])}; it has {', '.join(numbers)}. Rename one, or use `eps-tunnel "
+            "import-csv --position JOINT=COLUMN`, then --bag."
+        )
+    measured = found["position"]
+    for quantity in ("velocity", "effort"):
+        found[quantity] = {j: c for j, c in found[quantity].items() if j in measured}
+        if len(found[quantity]) < len(measured):
+            found[quantity] = {}
+    scale = _clock(numbers[time])
+    told = [f"{quantity} of {j} from column '{c}'" for quantity, by in found.items() for j, c in by.items()]
+    unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[scale]
+    notes.append(f"Tables: time from column '{time}' in {unit}; {'; '.join(told)}.")
+    return CsvColumns(time, found["command"], measured, found["velocity"], found["effort"], time_scale=scale)
+
+
+def _clock(times: Array) -> float:
+    """s of one unit of a clock: no rig of ours is sampled more slowly than at 1 Hz or faster than at 1 MHz."""
+    step = float(np.nanmedian(np.diff(times))) if len(times) > 1 else 1.0
+    return 1.0 if step < 1.0 else 1e-3 if step < 1e3 else 1e-6 if step < 1e5 else 1e-9
+
+
+def _parts(name: str) -> list[str]:
+    return [part for part in re.split(r"[^a-z0-9]+", name.lower()) if part]
+
+
+def _joint_of(column: str, joints: Sequence[str]) -> str | None:
+    flat = "_".join(_parts(column))
+    named = [joint for joint in joints if "_".join(_parts(joint)) in flat]
+    if named:
+        return max(named, key=len)
+    return joints[0] if len(joints) == 1 else None
+
+
+def _quantity(column: str, joint: str) -> str:
+    rest = _parts("_".join(_parts(column)).replace("_".join(_parts(joint)), "", 1))
+    for quantity, words in WORDS.items():
+        if set(rest) & set(words):
+            return quantity
+    return "position"
+
+
+# ---- LeRobot
+
+
+def lerobot_bags(dataset: Path, folder: Path) -> tuple[list[Path], list[str]]:
+    """One bag for each episode of a LeRobot dataset (v2 or v3, parquet): `action` as command, `observation.state` as
+    position, in the units of the dataset.
+
+    Raises:
+        InputError: no dataset, or pyarrow is not installed.
+    """
+    try:
+        from pyarrow import parquet  # type: ignore[import-untyped]
+    except ImportError as error:
+        raise InputError(
+            "LeRobot datasets are parquet files; reading them needs pyarrow: pip install pyarrow."
+        ) from error
+    info = dataset / "meta" / "info.json"
+    files = sorted((dataset / "data").rglob("*.parquet"))
+    if not info.is_file() or not files:
+        raise InputError(f"{dataset}: expected a LeRobot dataset, a folder with meta/info.json and data/**/*.parquet.")
+    try:
+        about = json.loads(info.read_text(encoding="utf-8"))
+        state, action = about["features"]["observation.state"], about["features"].get("action")
+        rate = float(about["fps"])
+        names = _names(state)
+        targets = _names(action) if action else []
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{info}: cannot be read ({error!r}). Expected fps and features.observation.state.") from error
+    shared = targets == names
+    columns = ["episode_index", "frame_index", "observation.state", *(["action"] if shared else [])]
+    tables = [parquet.read_table(file, columns=columns) for file in files]
+    bags = []
+    episode = np.concatenate([t["episode_index"].to_numpy() for t in tables])
+    frame = np.concatenate([t["frame_index"].to_numpy() for t in tables])
+    seen = np.concatenate([_stacked(t["observation.state"]) for t in tables])
+    sent = np.concatenate([_stacked(t["action"]) for t in tables]) if shared else None
+    for number in np.unique(episode):
+        here = np.flatnonzero(episode == number)
+        here = here[np.argsort(frame[here])]
+        bags.append(
+            arrays_to_bag(folder / f"episode_{int(number):03d}", frame[here] / rate, names, seen[here],
+                          None if sent is None else sent[here], metadata={"source": dataset.name})
+        )  # fmt: skip
+    note = f"{dataset.name}: {len(bags)} episodes at {rate:g} Hz, joints {', '.join(names)}."
+    if not shared:
+        note += " Actions are not of the same joints as states, so there are no commands."
+    return bags, [note]
+
+
+def _names(feature: Mapping[str, Any]) -> list[str]:
+    """Names of a feature's elements without what they all end in, as `.pos`."""
+    names = feature["names"]
+    flat = next(iter(names.values())) if isinstance(names, Mapping) else names
+    plain = [str(name).removesuffix(".pos").removesuffix("_pos") for name in flat]
+    return [re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_") for name in plain]
+
+
+def _stacked(column: Any) -> Array:
+    return np.array(column.to_pylist(), dtype=np.float64)

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serves the page to watch, and does what it is asked for there."""
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rclpy.action import ActionClient
+from rclpy.node import Node
+
+from eps_tunnel_analysis.loop.truth import hidden_in_words
+from eps_tunnel_analysis.monitor.access import SHORTEST_TOKEN, is_loopback, new_token
+from eps_tunnel_analysis.monitor.server import MonitorServer
+from eps_tunnel_analysis.monitor.session import Session
+from eps_tunnel_analysis.monitor.state import State, Steps
+from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
+from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched, nanoseconds
+from eps_tunnel_analysis.nodes.monitor_inputs import Inputs
+from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, rig_processes
+from eps_tunnel_analysis.outputs import numbered_folder
+from eps_tunnel_analysis.processes import ProcessDied, Processes
+from labyrinth_msgs.action import PlaySequence
+from labyrinth_msgs.msg import Diagnosis
+from labyrinth_msgs.srv import LoadModel
+from labyrinth_sim.effect import effects
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.model import load_model
+
+ABOUT = "Serves a page that shows rig and simulation while they run."
+LOOK_PERIOD = 0.1  # s between two looks at what came
+PLAYER_GONE = 5.0  # s
+
+
+class PlayerClient:
+    """One run at a time.
+
+    Attributes:
+        playing: whether one was asked for and has not ended.
+    """
+
+    def __init__(
+        self, node: Node, progress: Callable[[PlaySequence.Feedback], None],
+        ended: Callable[[PlaySequence.Result], None],
+    ) -> None:  # fmt: skip
+        self._client = ActionClient(node, PlaySequence, "play_sequence")
+        self._progress, self._ended = progress, ended
+        self._handle: Any = None
+        self._stop = False
+        self.playing = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether the player is there."""
+        return bool(self._client.server_is_ready())
+
+    def play(self, sequence: str, trials: int, folder: Path) -> None:
+        """Plays and records; the end is told to `ended`."""
+        self.playing, self._handle, self._stop = True, None, False
+        goal = PlaySequence.Goal(sequence=sequence, trials=trials, record=True, folder=str(folder))
+        future: Any = self._client.send_goal_async(goal, feedback_callback=lambda m: self._progress(m.feedback))
+        future.add_done_callback(self._answered)
+
+    def stop(self) -> None:
+        """Has the run end early."""
+        self._stop = True
+        if self._handle is not None:
+            self._handle.cancel_goal_async()
+
+    def lost(self) -> None:
+        """The player went away; its run will not be told to have ended."""
+        self._end(PlaySequence.Result(success=False, message="The player went away while it played."))
+
+    def _answered(self, future: Any) -> None:
+        handle = future.result()
+        if not handle.accepted:
+            self._end(PlaySequence.Result(success=False, message="The player is busy with another run."))
+            return
+        self._handle = handle
+        if self._stop:
+            handle.cancel_goal_async()
+        result: Any = handle.get_result_async()
+        result.add_done_callback(lambda f: self._end(f.result().result))
+
+    def _end(self, result: PlaySequence.Result) -> None:
+        if self.playing:
+            self.playing, self._handle = False, None
+            self._ended(result)
+
+
+class SimulationClient:
+    """Has the simulation run another model."""
+
+    def __init__(self, node: Node) -> None:
+        self._client = node.create_client(LoadModel, "sim/load_model")
+
+    def load(self, model: Path, answered: Callable[[bool, str], None]) -> None:
+        """`answered` gets whether it does, and the simulation's words."""
+        if not self._client.service_is_ready():
+            answered(False, f"Nobody offers {self._client.service_name}. The model is in {model}.")
+            return
+        future: Any = self._client.call_async(LoadModel.Request(model=str(model)))
+        future.add_done_callback(lambda f: answered(f.result().success, f.result().message))
+
+
+class Monitor(TunnelNode):
+    """Action client of play_sequence, client of sim/load_model; publishes its verdicts on srg/diagnosis."""
+
+    def __init__(self, processes: Processes | None = None) -> None:
+        super().__init__("monitor")
+        self._processes = processes
+        host = self.parameter("host", "127.0.0.1", "Address to listen on")
+        port = self.parameter("port", 8765, "Port to listen on; 0 takes a free one", "-", 0, 65535)
+        token = self.parameter("token", "", "To be shown by every page; empty: a new one at each start")
+        ask_token = self.parameter("ask_token", True, "False lets every program of this machine drive the rig")
+        folder = self.parameter("folder", "out", "Where monitor-N is made, for bags, diagnoses and models")
+        model = self.parameter("model", "", "Model to diagnose; empty: the file that the simulation tells")
+        candidates = self.parameter("candidates", [""], "Effects to consider in a diagnosis; empty: all") or []
+        candidates = [name for name in candidates if name]
+        if not ask_token and not is_loopback(host):
+            self.complain(f"Parameter 'ask_token': host {host} lets other machines in, and they need a token.")
+        if not ask_token and token:
+            self.complain("Parameter 'ask_token': false, yet 'token' is given. Leave one of them out.")
+        self._check(token, model, candidates)
+        self._state = State()
+        self._steps = Steps(self._state)
+        self._inputs = Inputs(self, self._state, self._steps)
+        self._player = PlayerClient(self, self._progressed, self._played)
+        self._simulation = SimulationClient(self)
+        self._verdicts = self.create_publisher(Diagnosis, "srg/diagnosis", latched())
+        self._player_seen = time.monotonic()
+        out = Path(folder).expanduser().resolve()
+        self._session = Session(self._state, self._steps, self, out, model, candidates)
+        token = token or (new_token() if ask_token else "")
+        self._server = MonitorServer(self._state, host, port, token, self._session.ask, self._session.reports)
+        self.create_timer(LOOK_PERIOD, self._look)
+        self.create_timer(1.0, self._check_processes)
+        self.get_logger().info(f"Open {self._server.address}")
+
+    @property
+    def busy(self) -> bool:
+        return self._player.playing
+
+    def close(self) -> None:
+        self._session.close()
+        self._server.close()
+
+    # What the session asks for.
+
+    @property
+    def ready(self) -> bool:
+        """Whether the player is there."""
+        return self._player.ready
+
+    @property
+    def playing(self) -> bool:
+        """Whether a run was asked for and has not ended."""
+        return self._player.playing
+
+    @property
+    def analysed(self) -> bool:
+        """Whether the analysis node is there."""
+        return self._inputs.analysed
+
+    def alive(self, side: str) -> bool:
+        """Whether a side measures."""
+        return self._inputs.alive(side)
+
+    def play(self, sequence: str, trials: int, folder: Path) -> None:
+        """Has the player play and record."""
+        self._player.play(sequence, trials, folder)
+
+    def stop(self) -> None:
+        """Has the player end the run early."""
+        self._player.stop()
+
+    def load(self, model: Path) -> None:
+        """Has the simulation run a model."""
+        self._simulation.load(model, self._session.loaded)
+
+    def publish(self, verdict: dict[str, Any], report: str) -> None:
+        """Publishes a verdict for those who come later, too."""
+        message = diagnosis_message(verdict, report)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._inputs.own_verdict = nanoseconds(message.header.stamp)
+        self._verdicts.publish(message)
+
+    def _check(self, token: str, model: str, candidates: list[str]) -> None:
+        if token and len(token) < SHORTEST_TOKEN:
+            self.complain(f"Parameter 'token': expected at least {SHORTEST_TOKEN} characters, got {len(token)}.")
+        for name in candidates:
+            if name not in effects():
+                self.complain(f"Parameter 'candidates': {unknown_name('effect', name, effects())}")
+        try:
+            if model:
+                load_model(model)
+        except InputError as error:
+            for complaint in error.complaints:
+                self.complain(f"Parameter 'model': {complaint}")
+        self.check_parameters()
+
+    def _look(self) -> None:
+        if self._inputs.take():
+            self._session.show_rig()
+        self._session.look(self._server.pages)
+        now = time.monotonic()
+        if self._player.ready or not self._player.playing:
+            self._player_seen = now
+        elif now - self._player_seen > PLAYER_GONE:
+            self._player.lost()
+        if self.stopping.is_set() and self._player.playing:
+            self._player.stop()  # nobody could stop it any more
+
+    def _check_processes(self) -> None:
+        """Tells once of a process of the emulated rig that ended."""
+        try:
+            if self._processes is not None:
+                self._processes.check()
+        except ProcessDied as died:
+            self._processes = None
+            self._state.note(str(died), "error")
+
+    def _progressed(self, feedback: PlaySequence.Feedback) -> None:
+        f, duration = feedback, self._inputs.duration
+        self._session.progress(f.trial, f.trials, f.phase, f.progress, f.time_left, duration)
+
+    def _played(self, result: PlaySequence.Result) -> None:
+        self._session.played(result.success, result.message, list(result.bags))
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of `ros2 run eps_tunnel_analysis monitor`, before its `--ros-args`."""
+    p = argparse.ArgumentParser(
+        prog="monitor",
+        description="Serves a page that shows rig and simulation while they run, with buttons to play, diagnose "
+        "and add. Joins the nodes that run; with --emulated it starts a rig of its own.",
+        epilog="Parameters, after --ros-args -p NAME:=VALUE: host, port, token, ask_token, folder, model, candidates.",
+    )
+    p.add_argument("--emulated", nargs="?", const="healthy", metavar="CONFIG", help="start an emulated rig of "
+                   "config/testbed and config/hw (default: healthy), simulation, analysis and player")  # fmt: skip
+    own = p.add_argument_group("with --emulated")
+    own.add_argument("--hide", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]",
+                     help="hide one more effect in the rig; ? draws one, told at the end")  # fmt: skip
+    own.add_argument("--sim", default="labyrinth_mx64", metavar="M", help="model of the simulation (default: "
+                     "%(default)s)")  # fmt: skip
+    own.add_argument("--video", action="store_true", help="emulate the camera, too; takes most of a processor core")
+    own.add_argument("--seed", type=int, default=1, help="of the rig's noise and of a draw (default: %(default)s)")
+    own.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="where rig-N is made for the logs "
+                     "(default: %(default)s)")  # fmt: skip
+    return p
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `ros2 run eps_tunnel_analysis monitor`."""
+    words = list(sys.argv[1:] if args is None else args)
+    cut = words.index("--ros-args") if "--ros-args" in words else len(words)
+    given, ros = parser().parse_args(words[:cut]), words[cut:]
+    if given.emulated is None:
+        return run_node("monitor", ABOUT, Monitor, ros)
+    try:
+        load_model(given.sim)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        folder = numbered_folder(given.out, "rig")
+        rig = EmulatedRig(given.emulated, given.emulated, tuple(given.hide), given.seed, given.video)
+        with rig_processes(rig, given.sim, folder) as processes:
+            code = run_node("monitor", ABOUT, lambda: Monitor(processes), ros)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except ProcessDied as died:
+        print(died, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    if given.hide:
+        print(f"Hidden in the testbed: {hidden_in_words(hidden_in(folder))}. With values: {folder / 'hidden.json'}")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trials at their own stamps: what was commanded and measured, and when, before anything is put on a grid."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from scipy import sparse
+
+from labyrinth_sim.shown import shown
+from labyrinth_sim.trials import Array, Trials, locked
+
+ROUNDING = 1e-9  # s; a grid's end and a trial's are the same instant in other sums
+ALIGNED = 0.05  # s; commands of one trial further from those of the others were not the same messages
+
+
+@shown
+@dataclass(frozen=True)
+class Series:
+    """One channel: n values at strictly increasing times.
+
+    Attributes:
+        time: (n,) s since the trial's start; a command from before it has a negative time.
+        values: (n,) SI units; a command NaN from where the drive was switched off.
+    """
+
+    time: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", locked(self.time))
+        object.__setattr__(self, "values", locked(self.values))
+
+
+@shown
+@dataclass(frozen=True)
+class StampedTrial:
+    """One trial as it was recorded.
+
+    Attributes:
+        seconds: length of the trial.
+        commands: channel -> what was commanded; each value holds until the next.
+        signals: name -> what was measured; unseen samples are left out.
+    """
+
+    seconds: float
+    commands: Mapping[str, Series]
+    signals: Mapping[str, Series]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "commands", MappingProxyType(dict(self.commands)))
+        object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
+
+    def shifted(self, late: float) -> "StampedTrial":
+        """The same trial on a clock that starts `late` s later."""
+        move = {n: Series(s.time - late, s.values) for n, s in self.commands.items()}
+        return StampedTrial(self.seconds, move, {n: Series(s.time - late, s.values) for n, s in self.signals.items()})
+
+
+def stamped_from_grid(trials: Trials) -> tuple[StampedTrial, ...]:
+    """Trials of which only the grid is known: its times are the stamps."""
+    time = trials.time - trials.time[0]
+    found = []
+    for values, commands in zip(trials.values, trials.commands, strict=True):
+        signals = {}
+        for column, name in enumerate(trials.signals):
+            seen = np.isfinite(values[:, column])
+            signals[name] = Series(time[seen], values[seen, column])
+        sent = {name: Series(time, commands[:, u]) for u, name in enumerate(trials.command_channels)}
+        found.append(StampedTrial(float(time[-1]), sent, signals))
+    return tuple(found)
+
+
+def aligned(trials: Sequence[StampedTrial]) -> tuple[StampedTrial, ...]:
+    """The trials on clocks on which their commands come at the same time on average.
+
+    A start mark and the first command are sent by one program and pass through others' loops, so trials are early or
+    late by some milliseconds as a whole. Trials whose commands are not message for message the same are left alone.
+    """
+    first = trials[0].commands
+    shifts = np.zeros((len(trials), len(first)))
+    for column, (name, series) in enumerate(first.items()):
+        for row, trial in enumerate(trials):
+            other = trial.commands.get(name)
+            same = other is not None and other.values.shape == series.values.shape
+            if not (same and np.allclose(other.values, series.values, equal_nan=True)):  # type: ignore[union-attr]
+                return tuple(trials)
+            late = float(np.median(other.time - series.time))  # type: ignore[union-attr]
+            if abs(late) > ALIGNED:
+                return tuple(trials)
+            shifts[row, column] = late
+    own = shifts.mean(axis=1) if shifts.size else np.zeros(len(trials))
+    return tuple(trial.shifted(float(late)) for trial, late in zip(trials, own - own.mean(), strict=True))
+
+
+def setpoints(trials: Sequence[StampedTrial], channel: str, step: float, count: int) -> Array:
+    """(count,) rad: the mean over trials of what was commanded during each step of an even grid that starts at 0.
+
+    A command that changes within a step counts for the part of it that is left, so no stamp is moved to the grid; and
+    the mean answer of trials whose stamps jitter is the answer to their mean command, to first order. NaN where most
+    trials were switched off, or had got no command yet.
+    """
+    edges = step * np.arange(count + 1)
+    total, weight = np.zeros(count), np.zeros(count)
+    for trial in trials:
+        series = trial.commands[channel]
+        if not len(series.time):
+            continue
+        on = np.isfinite(series.values)
+        knots = np.append(series.time, max(edges[-1], series.time[-1]) + step)
+        lengths = np.diff(knots)
+        area = np.concatenate([[0.0], np.cumsum(np.where(on, series.values, 0.0) * lengths)])
+        time_on = np.concatenate([[0.0], np.cumsum(on * lengths)])
+        total += np.diff(np.interp(edges, knots, area))
+        weight += np.diff(np.interp(edges, knots, time_on))
+    share = weight / (step * len(trials))
+    return np.where(share > 0.5, total / np.maximum(weight, 1e-300), np.nan)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Repeated measurements of one signal, gathered into bins, and how a model is read at the same instants.
+
+    Attributes:
+        time: (b,) s, mean stamp of each bin.
+        mean: (b,) mean of the samples in it, over all trials.
+        reading: (b, K) sparse; times a model's values on its own grid (K,), what it says of each bin: the mean, over
+            the same samples, of its value at their stamps.
+        single: (p, b) what each trial says of each bin, brought to the bin's mean stamp along the motion's slope; NaN
+            where it has no sample.
+        stamps: (p, b) s, mean stamp of each trial's samples; NaN where it has none.
+    """
+
+    time: Array
+    mean: Array
+    reading: sparse.csr_array
+    single: Array
+    stamps: Array
+
+
+def readings(
+    series: Sequence[Series], seconds: float, step: float, count: int, width: float, from_time: float = 0.0
+) -> Readings:
+    """Bins of equal width over all trials of one signal.
+
+    Args:
+        series: one for each trial.
+        seconds: length of the trials.
+        step, count: of the model's grid, which starts at 0.
+        width: s, of a bin.
+        from_time: s; earlier samples are left out.
+    """
+    bins = max(1, int(np.ceil(seconds / width)))
+    times, values, owners = [], [], []
+    for row, one in enumerate(series):
+        # A sum of steps may fall short of the trial's length by its last bits.
+        inside = (one.time >= from_time) & (one.time <= min(seconds, step * (count - 1)) + ROUNDING)
+        times.append(one.time[inside])
+        values.append(one.values[inside])
+        owners.append(np.full(int(inside.sum()), row))
+    time, value, owner = np.concatenate(times), np.concatenate(values), np.concatenate(owners)
+    which = np.minimum((time / width).astype(np.int64), bins - 1)
+    here = np.bincount(which, minlength=bins)
+    kept = np.flatnonzero(here)
+    place = np.full(bins, -1)
+    place[kept] = np.arange(len(kept))
+    row_of = place[which]
+    share = 1.0 / np.maximum(here, 1)
+    mean_time = np.bincount(row_of, time * share[which], len(kept)).astype(float)
+    mean = np.bincount(row_of, value * share[which], len(kept)).astype(float)
+    rows, columns, weights = _cubic(time, step, count)
+    entries = sparse.coo_array((weights * share[which[rows]], (row_of[rows], columns)), shape=(len(kept), count))
+    slope = np.gradient(mean, mean_time) if len(kept) > 1 else np.zeros(len(kept))
+    level = value - slope[row_of] * (time - mean_time[row_of])
+    shape = (len(series), len(kept))
+    flat = owner * len(kept) + row_of
+    counts = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
+    sums = np.bincount(flat, level, shape[0] * shape[1]).reshape(shape)
+    moments = np.bincount(flat, time, shape[0] * shape[1]).reshape(shape)
+    with np.errstate(invalid="ignore"):
+        single, stamps = sums / counts, moments / counts
+    return Readings(mean_time, mean, entries.tocsr(), single, stamps)
+
+
+def _cubic(time: Array, step: float, count: int) -> tuple[Array, Array, Array]:
+    """Weights of cubic interpolation on an even grid: for each of them the sample, the grid's point and the weight."""
+    low = np.clip(np.floor(time / step).astype(np.int64) - 1, 0, max(count - 4, 0))
+    x = time / step - low
+    terms = min(4, count)
+    rows, columns, weights = [], [], []
+    for i in range(terms):
+        weight = np.ones_like(x)
+        for j in range(terms):
+            if j != i:
+                weight *= (x - j) / (i - j)
+        rows.append(np.arange(len(time)))
+        columns.append(low + i)
+        weights.append(weight)
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(weights)

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a change of one value, or of two together, would do to the alikeness and to the error."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from eps_tunnel_analysis.alikeness import KS, alikeness_over_k
+from eps_tunnel_analysis.error import command_error
+from eps_tunnel_analysis.outputs import plain
+from eps_tunnel_analysis.simulated import Play, compared_signals, rollouts
+from eps_tunnel_analysis.tunnel import build_tunnel, smooth
+from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.model import Model
+from labyrinth_sim.trials import Array, Trials, locked
+
+POINTS = 41  # of one value
+POINTS_OF_A_PAIR = 15  # of each of two
+MOST = 20_000  # points in all
+AT_ONCE = 64  # points that are simulated together
+NEAR = (0.5, 2.0)  # times the model's value, where no range is given
+
+
+@dataclass(frozen=True)
+class SweptValue:
+    """One value that is varied.
+
+    Attributes:
+        name, unit: the full parameter name and its unit.
+        given: the model's own value.
+        points: (n,) what is tried, in rising order.
+    """
+
+    name: str
+    unit: str
+    given: float
+    points: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", locked(self.points))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Alikeness and error over one value or a pair.
+
+    Attributes:
+        values: the one or two that were varied.
+        signals, units: m that were compared.
+        ks: K factors on the real tunnel's width, rising.
+        errors: (n,) or (n, n2) by m; E of equation 10, mean over the plays; inf where the simulation diverged.
+        alikeness: the same by (K, m): share of all seen samples of the plays.
+        joint: the same by (K,): share of samples alike in every signal.
+        notes: what was done besides, in words.
+    """
+
+    values: tuple[SweptValue, ...]
+    signals: tuple[str, ...]
+    units: tuple[str, ...]
+    ks: tuple[float, ...]
+    errors: Array
+    alikeness: Array
+    joint: Array
+    notes: tuple[str, ...] = ()
+
+    @property
+    def mean_error(self) -> Array:
+        """(n,) or (n, n2): mean over the signals of the first one's unit, in that unit."""
+        return np.asarray(self.errors[..., [u == self.units[0] for u in self.units]].mean(axis=-1))
+
+    def best(self, of: Array, largest: bool) -> tuple[dict[str, float], float]:
+        """Full name -> value where a figure (n,) or (n, n2) is best, and the figure there.
+
+        Of a plateau, as of an alikeness of 1, the middle one in the order of the points.
+        """
+        best = np.max(of) if largest else np.min(of)
+        at = np.flatnonzero(of == best)
+        where = np.unravel_index(at[len(at) // 2], of.shape)
+        return {v.name: float(v.points[i]) for v, i in zip(self.values, where, strict=True)}, float(best)
+
+    def rows(self) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
+        """Header and rows in SI units, one for each point."""
+        header = [v.name for v in self.values]
+        header += [f"error_{s}" for s in self.signals]
+        for k in self.ks:
+            header += [*(f"alikeness_{s}_k{k:g}" for s in self.signals), f"alikeness_jointly_k{k:g}"]
+        rows = []
+        for where in np.ndindex(*self.joint.shape[:-1]):
+            row = [float(v.points[i]) for v, i in zip(self.values, where, strict=True)]
+            row += self.errors[where].tolist()
+            for i in range(len(self.ks)):
+                row += [*self.alikeness[where][i].tolist(), float(self.joint[where][i])]
+            rows.append(tuple(row))
+        return tuple(header), rows
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dicts, lists, numbers and words; SI units."""
+        least, error = self.best(self.mean_error, largest=False)
+        content = {
+            "values": [
+                {"name": v.name, "unit": v.unit, "given": v.given, "points": v.points.tolist()} for v in self.values
+            ],
+            "signals": list(self.signals),
+            "units": list(self.units),
+            "k": list(self.ks),
+            "least_error": {"at": least, "error": error},
+            "most_alike": [
+                {"k": k, "at": at, "alikeness": share}
+                for k, (at, share) in zip(self.ks, self._most_alike(), strict=True)
+            ],
+            "errors": self.errors.tolist(),
+            "alikeness": self.alikeness.tolist(),
+            "jointly": self.joint.tolist(),
+            "notes": list(self.notes),
+        }
+        return {key: plain(value) for key, value in content.items()}
+
+    def _most_alike(self) -> list[tuple[dict[str, float], float]]:
+        return [self.best(self.joint[..., i], largest=True) for i in range(len(self.ks))]
+
+
+def sweep(
+    model: Model,
+    plays: Sequence[Play],
+    asked: Sequence[str],
+    ks: Sequence[float] = KS,
+    signals: Sequence[str] | None = None,
+    nthread: int = 0,
+    progress: Callable[[str, int], None] | None = None,
+) -> Sweep:
+    """Simulates the plays at every point and compares each with the recordings, as `compare` does.
+
+    Args:
+        asked: one or two `NAME`, `NAME=LOW:HIGH` or `NAME=LOW:HIGH:POINTS`. An effect that the model lacks is added,
+            switched off but for what is swept.
+        ks: factors on the real tunnel's width.
+        progress: called with what is being done and how many points are done.
+
+    Raises:
+        InputError: unknown names, ranges out of bounds, more than two values, or what a comparison refuses.
+    """
+    if not 1 <= len(asked) <= 2:
+        raise InputError(f"Sweep one value or two, got {len(asked)}: {', '.join(asked)}.")
+    model, notes = _with_effects(model, asked)
+    known = {name for play in plays for name in play.known}
+    values = _values(model, asked, known)
+    factors = tuple(sorted({float(k) for k in ks}))
+    names = compared_signals(model, [play.trials for play in plays], signals)
+    runs = rollouts(model, plays)
+    real = [play.trials.select(names) for play in plays]
+    tunnels = [smooth(build_tunnel(trials)) for trials in real]
+    points = np.array(list(product(*(v.points for v in values))))
+    errors = np.zeros((len(points), len(names)))
+    alike = np.zeros((len(points), len(factors), len(names)))
+    jointly = np.zeros((len(points), len(factors)))
+    seen, seen_jointly = np.zeros(len(names)), 0.0
+    for tunnel in tunnels:
+        there = ~np.isnan(tunnel.mean)
+        seen, seen_jointly = seen + there.sum(axis=0), seen_jointly + float(there.all(axis=1).sum())
+    for low in range(0, len(points), AT_ONCE):
+        some = points[low : low + AT_ONCE]
+        answers, _, _ = runs.simulate(model, [v.name for v in values], some, names, nthread)
+        for row, answer in enumerate(answers, start=low):
+            for number, (trials, tunnel) in enumerate(zip(real, tunnels, strict=True)):
+                own = answer[runs.play == number][:, : len(trials.time)]
+                if np.isnan(own).any():
+                    errors[row] = np.inf
+                    continue
+                sim = build_tunnel(_as_trials(trials, own))
+                errors[row] += [
+                    command_error(a, b) / len(plays) for a, b in zip(tunnel.mean.T, sim.mean.T, strict=True)
+                ]
+                for i, found in enumerate(alikeness_over_k(tunnel, smooth(sim), factors)):
+                    alike[row, i] += found.alike.sum(axis=0)
+                    jointly[row, i] += found.alike.all(axis=1).sum()
+        if progress:
+            progress("points", low + len(some))
+    shape = tuple(len(v.points) for v in values)
+    units = dict(zip(model.rig.signals, model.rig.units, strict=True))
+    return Sweep(
+        values=values,
+        signals=names,
+        units=tuple(units[n] for n in names),
+        ks=factors,
+        errors=locked(errors.reshape(*shape, -1)),
+        alikeness=locked((alike / np.maximum(seen, 1.0)).reshape(*shape, len(factors), -1)),
+        joint=locked((jointly / max(seen_jointly, 1.0)).reshape(*shape, -1)),
+        notes=notes,
+    )
+
+
+def _as_trials(real: Trials, values: Array) -> Trials:
+    """Simulated values (c, T, m) of one play, on its grid."""
+    commands = np.broadcast_to(real.commands[:1], (len(values), *real.commands.shape[1:]))
+    return Trials(real.time, real.signals, real.units, values, real.command_channels, commands)
+
+
+def _with_effects(model: Model, asked: Sequence[str]) -> tuple[Model, tuple[str, ...]]:
+    """The model with the effects whose parameters are asked for, and a sentence on each that was added."""
+    notes = []
+    for text in asked:
+        effect, _, rest = text.partition("=")[0].partition(".")
+        place = rest.rpartition(".")[0]
+        if effect not in model.registry.effects or place not in model.places(effect):
+            continue
+        if any((use.effect.name, use.place) == (effect, place) for use in model.effects):
+            continue
+        model = model.with_effect(effect, place, model.registry.effects[effect].off, "switched off")
+        notes.append(f"The model has no {effect}.{place}; it is added, switched off but for what is swept.")
+    return model, tuple(notes)
+
+
+def _values(model: Model, asked: Sequence[str], known: set[str]) -> tuple[SweptValue, ...]:
+    infos = model.parameters()
+    complaints: list[str] = []
+    found: list[SweptValue] = []
+    for text in asked:
+        name, equals, given = text.partition("=")
+        if name not in infos:
+            complaints.append(unknown_name("parameter", name, infos))
+            continue
+        if name in known:
+            complaints.append(f"{name} is known of some recordings, so it cannot be swept. Leave its --known away.")
+        if name in [v.name for v in found]:
+            complaints.append(f"{name} is named twice; sweep two different values.")
+        info = infos[name]
+        low, high = _near(info.value, info.low, info.high)
+        count = POINTS if len(asked) == 1 else POINTS_OF_A_PAIR
+        if equals:
+            try:
+                low, high, count = _range(given, count)
+            except ValueError:
+                complaints.append(f"{text}: expected {name}=LOW:HIGH or {name}=LOW:HIGH:POINTS, as {name}=0.5:2:21.")
+                continue
+        if not (info.low <= low < high <= info.high and math.isfinite(low) and math.isfinite(high)):
+            bounds = f"[{info.low:g}, {info.high:g}] {info.unit}"
+            complaints.append(f"{text}: expected LOW below HIGH, both within {bounds}, got {low:g} and {high:g}.")
+            continue
+        if count < 2:
+            complaints.append(f"{text}: expected at least 2 points, got {count}.")
+            continue
+        points = np.linspace(low, high, min(count, MOST + 1))
+        if not equals and low < info.value < high:  # the model's own value is one of them
+            points[np.argmin(np.abs(points - info.value))] = info.value
+        found.append(SweptValue(name, info.unit, info.value, points))
+    total = math.prod(len(v.points) for v in found)
+    if total > MOST:
+        complaints.append(f"{total} points are too many; ask for at most {MOST} in all.")
+    if complaints:
+        raise InputError(complaints)
+    return tuple(found)
+
+
+def _range(text: str, points: int) -> tuple[float, float, int]:
+    """LOW:HIGH[:POINTS]. Raises ValueError for anything else."""
+    low, high, *rest = text.split(":")
+    if len(rest) > 1:
+        raise ValueError(text)
+    return float(low), float(high), int(rest[0]) if rest else points
+
+
+def _near(value: float, low: float, high: float) -> tuple[float, float]:
+    """Half to twice the value, within the bounds; all of these around a value of 0."""
+    if value == 0.0:
+        return low, high
+    ends = sorted(factor * value for factor in NEAR)
+    return max(ends[0], low), min(ends[1], high)

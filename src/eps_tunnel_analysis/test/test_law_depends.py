@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a missing force depends on, on motions and forces that are known: no roll-outs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eps_tunnel_analysis.law.added_force import Motion
+from eps_tunnel_analysis.law.depends import Depends, Design, depends, traced
+from eps_tunnel_analysis.law.missing_force import MissingForce, PlayAnswer
+from labyrinth_sim.trials import Array
+
+SECONDS, STEP, NOISE = 6.0, 0.02, 0.3
+TIME = np.arange(0.0, SECONDS, STEP)
+
+
+def motion(angle: Array) -> Motion:
+    speed = np.gradient(angle, STEP)
+    direction = np.sign(speed)
+    turns = np.flatnonzero(np.diff(direction, prepend=0.0))
+    since = TIME - TIME[turns[np.searchsorted(turns, np.arange(len(TIME)), side="right") - 1]]
+    load = 0.2 + 0.1 * np.abs(np.sin(1.3 * TIME))
+    none = np.empty(0)
+    return Motion(TIME, angle, speed, direction, since, load, 0.0 * TIME, angle, none)
+
+
+def said(angle: Array, force: Array, seed: int = 0) -> Depends:
+    """Of residuals that a force leaves which the motor's own inertia smooths, and noise."""
+    moved = motion(angle)
+    lag = np.exp(-np.maximum(TIME[:, None] - TIME[None, :], 0.0) / 0.05) * (TIME[:, None] >= TIME[None, :])
+    answer = 5.0 * lag
+    residuals = answer @ force + NOISE * np.random.default_rng(seed).normal(size=len(TIME))
+    fold = np.minimum((TIME / 0.75).astype(np.int64), 7)
+    ones = np.ones_like(TIME)
+    play = PlayAnswer(
+        moved, TIME, residuals, answer, np.column_stack([answer @ moved.speed]), TIME, np.zeros(len(TIME), np.int64),
+        fold, ones, 0 * ones, ones,
+    )  # fmt: skip
+    missing = MissingForce("a", ("a",), "N m", (play,), 1.0, (float(np.mean(residuals**2)), NOISE**2))
+    return depends(Design.of(missing), ("a",), ratios={"joint": 1.0, "motor": 12.0})
+
+
+SWINGS = 0.8 * np.sin(2 * np.pi * 0.4 * TIME) + 0.4 * np.sin(2 * np.pi * 1.1 * TIME + 0.3)
+
+
+@pytest.mark.parametrize("form", ["drag", "waves", "friction", "nothing"])
+def test_the_variable_is_named_and_noise_names_none(form: str) -> None:
+    speed = np.gradient(SWINGS, STEP)
+    period = 2 * math.pi / 24  # of the joint: two waves a turn of the motor
+    force = {
+        "drag": -0.1 * speed * np.abs(speed),
+        "waves": np.sin(2 * np.pi * SWINGS / period),
+        "friction": -0.5 * np.sign(speed),
+        "nothing": 0.0 * TIME,
+    }[form]
+    found = said(SWINGS, force)
+    if form == "nothing":
+        assert found.first is None and found.words == ""
+        return
+    assert found.first is not None
+    assert found.first.curve == {"drag": "curve_speed", "waves": "curve_angle", "friction": "curve_speed"}[form]
+    if form == "waves":
+        assert found.first.period == pytest.approx(period, rel=0.03)
+        assert found.first.traced == "2 waves a turn of the motor"
+
+
+def test_variables_that_the_motion_ties_together_are_said_together() -> None:
+    """One slow way up: the angle grows as the time does."""
+    found = said(0.3 * TIME + 1e-3 * np.sin(TIME), 0.4 * np.sin(0.6 * TIME))
+    assert found.first is not None and found.first.curve == "curve_angle"
+    assert "curve_time" in [d.curve for d in found.ties]
+    assert found.words.startswith("angle or ") and "time" in found.words
+
+
+def test_a_period_is_traced_to_what_turns_with_it() -> None:
+    turns = {"joint": 1.0, "motor": 12.0, "belt wheel": 2.5}
+    assert traced(2 * math.pi / 12, turns) == "1 wave a turn of the motor"
+    assert traced(2 * math.pi / 2.5, turns) == "1 wave a turn of the belt wheel"
+    assert traced(2 * math.pi / 7, turns) == "7 waves a turn of the joint"
+    assert traced(2 * math.pi / 7.4, {"joint": 1.0}) == ""

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From recordings of a force that no effect of the library is, to its formula, its file and a model with it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart
+from eps_tunnel_analysis.law.added_force import Playing
+from eps_tunnel_analysis.law.depends import Design
+from eps_tunnel_analysis.law.formula import Chosen, dictionary, sensor_dictionary
+from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
+from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, confirmed, declared, effect_file, propose
+from eps_tunnel_analysis.outputs import json_text, plain
+from eps_tunnel_analysis.report.law_section import law
+from eps_tunnel_analysis.report.page import render
+from eps_tunnel_analysis.sequence_file import load_sequence
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.live import Live
+from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.simulate import simulate
+from labyrinth_sim.site import Site
+from labyrinth_sim.trials import Trials
+
+SIZE, PERIOD, PHASE = 0.03, 0.35, 0.5  # N m, rad, rad: of the waves that are hidden
+PART = AxisPart("pendulum", ("pendulum",), ())
+SECONDS = 4.0
+
+
+def waves(live: Live, site: Site, values: Values) -> None:
+    live.applied[:, site.dof] += values["size"] * np.sin(2 * np.pi * live.qpos[:, site.qpos] / PERIOD + PHASE)
+
+
+WAVES = Effect(
+    "hidden_waves", "", "", "", (Parameter("size", "N m", 0.0, 1.0, 0.0, SIZE, ""),), "force", "", "by_angle", (), "",
+    step=waves,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return load_model("pendulum")
+
+
+def played(model: Model, seed: int, slow: float = 0.4) -> Play:
+    """Three trials of two sines, with the noise of an encoder."""
+    t = np.arange(round(SECONDS / 0.01) + 1) * 0.01
+    command = (np.sin(2 * np.pi * slow * t) + 0.4 * np.sin(2 * np.pi * 1.1 * t))[:, None]
+    clean = simulate(model, t, command)
+    noise = np.random.default_rng(seed).normal(size=(3, *clean.values.shape[1:]))
+    values = clean.values + 1e-3 * noise
+    block = np.repeat(command[None], 3, axis=0)
+    return Play("sines", Trials(clean.time, clean.signals, clean.units, values, clean.command_channels, block))
+
+
+@pytest.fixture(scope="module")
+def hidden(model: Model) -> Model:
+    return model.with_effect(WAVES, "pendulum")
+
+
+@pytest.fixture(scope="module")
+def proposal(model: Model, hidden: Model) -> Proposal:
+    return propose(model, [played(hidden, 1)], PART, nthread=1)
+
+
+def test_a_hidden_wave_is_found_with_its_period_size_and_phase(proposal: Proposal) -> None:
+    first = proposal.depends.first
+    assert first is not None and first.period is not None
+    assert (first.curve, first.place) == ("curve_angle", "pendulum")
+    assert first.period == pytest.approx(PERIOD, rel=0.03)
+    assert first.share > 0.8
+    assert proposal.kind == "formula" and proposal.refit is not None
+    values = {name.rpartition(".")[2]: v for name, v in proposal.refit.values.items()}
+    assert values["wave_size"] == pytest.approx(SIZE, rel=0.05)
+    assert values["wave_period"] == pytest.approx(PERIOD, rel=0.01)
+    assert values["wave_phase"] == pytest.approx(PHASE, abs=0.1)
+    assert proposal.refit.intervals["proposed_effect.pendulum.wave_size"] < 0.2 * SIZE
+    assert proposal.refit.held_out < 0.02 * proposal.base_held_out
+
+
+def test_another_command_confirms_what_is_proposed_or_not(proposal: Proposal, model: Model, hidden: Model) -> None:
+    assert proposal.confirmation is None and "not confirmed" in proposal.sentence
+    right = confirmed(proposal, [played(hidden, 2, slow=0.7)], nthread=1)
+    assert right.confirmation is not None and right.confirmation.holds
+    assert right.confirmation.after < 0.1 * right.confirmation.before
+    assert "Confirmed on another command" in right.sentence and right.to_json()["confirmed"] is True
+    # A rig without the waves: there the law that was found does harm.
+    wrong = confirmed(proposal, [played(model, 2, slow=0.7)], nthread=1)
+    assert wrong.confirmation is not None and not wrong.confirmation.holds
+    assert not Confirmation(0.5, 0.4).holds  # nothing is left to explain there
+
+
+def test_what_is_proposed_holds_on_another_command(proposal: Proposal, model: Model, hidden: Model) -> None:
+    other = played(hidden, 2, slow=0.7).trials
+    before, after = (
+        np.sqrt(np.mean((simulate(m, other).values[0, :, 0] - other.values[:, :, 0].mean(axis=0)) ** 2))
+        for m in (model, proposal.model)
+        if m is not None
+    )
+    assert after < 0.1 * before
+
+
+def test_the_file_is_an_effect_and_the_model_reads_it(proposal: Proposal, tmp_path: Path) -> None:
+    proposal.write(tmp_path)
+    again = load_model(tmp_path / "proposed_model.yaml", tmp_path)
+    assert again.values() == pytest.approx(proposal.model.values() if proposal.model else {})
+    assert "proposed_effect" in again.registry.effects
+    with pytest.raises(FileExistsError):
+        proposal.write(tmp_path)
+
+
+def test_report_and_json_tell_variable_formula_and_what_is_left(proposal: Proposal) -> None:
+    page = render("title", "subtitle", [law(proposal)])
+    assert "without a formula" in page and "To see more of it, play visit_angle_pendulum.yaml" in page
+    assert "A sin(2 pi angle / L + phase)" in page and "proposed_effect.pendulum.wave_period" in page
+    content = json.loads(json_text(plain(proposal.to_json())))
+    assert content["file"] == "proposed_effect.py" and content["depends_on"][0]["named"] is True
+    assert content["refit"]["held_out"] < content["base_held_out"]
+
+
+def test_the_command_that_is_proposed_stays_within_the_limits_and_visits_what_was_not(
+    proposal: Proposal, model: Model, tmp_path: Path
+) -> None:
+    proposal.write(tmp_path)
+    assert proposal.visit is not None
+    command = load_sequence(tmp_path / f"{proposal.visit.name}.yaml").commands[0]
+    _, targets = command.sample(100.0)
+    angle = proposal.missing.plays[0].motion.angle
+    low, high = model.rig.axis("pendulum").limits
+    assert low <= targets.min() < angle.min() and angle.max() < targets.max() <= high
+    assert proposal.visit.unvisited and all(a < b for a, b in proposal.visit.unvisited)
+
+
+def test_a_healthy_rig_is_silent(model: Model) -> None:
+    found = propose(model, [played(model, 3)], PART, nthread=1)
+    assert found.depends.first is None
+    assert (found.kind, found.text, found.model) == ("", "", None)
+
+
+@pytest.fixture(scope="module")
+def missing(model: Model) -> MissingForce:
+    return missing_force(model, [played(model, 4)], PART, nthread=1, passes=1)
+
+
+def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingForce, model: Model) -> None:
+    """A model with a term against the same force added over time. Friction sticks as no such force does."""
+    play = played(model, 4)
+    terms = [term for term in dictionary(Design.of(missing)) if term.needs != "other_axis"]
+    shapes = {term.name: term.shape[len(term.shape) // 2] if term.shape else 0.0 for term in terms}
+    chosen = []
+    for term in terms:
+        values = {n.name: 0.02 if n.switches else shapes[term.name] for n in term.numbers}
+        chosen.append(Chosen(term, values | ({"phase": 0.0} if "phase" in values else {})))
+    effect = declared(effect_file(chosen, sensor=False))
+    assert len(effect.parameters) == sum(len(term.numbers) for term in terms)
+    off = {p.name: p.typical if p.off is None else p.off for p in effect.parameters}
+    for term in terms:
+        switch = next(n.name for n in term.numbers if n.switches)
+        own = model.with_effect(effect, "pendulum", {**off, f"{term.name}_{switch}": 0.02})
+        acting = Playing(own, [play], "pendulum", PART.signals)
+        assert np.isfinite(acting.residuals(0, np.zeros((1, acting.count(0))))).all(), term.name
+        if term.acts not in ("torque", "damping"):
+            continue
+        force = 0.02 * term.columns(acting.motion(0), shapes[term.name])[:, 0]
+        seen = acting.residuals(0, np.zeros((1, len(force))))[0]
+        same, without = Playing(model, [play], "pendulum", PART.signals).residuals(
+            0, np.stack([force, np.zeros(len(force))])
+        )
+        assert np.abs(seen - same).max() < 0.02 * np.abs(seen - without).max(), term.name
+
+
+def test_every_term_of_a_sensor_is_read(missing: MissingForce, model: Model) -> None:
+    for term in sensor_dictionary(Design.of(missing)):
+        values = {n.name: 0.02 if n.switches else 0.3 for n in term.numbers}
+        effect = declared(effect_file([Chosen(term, values)], sensor=True))
+        shifted = simulate(model.with_effect(effect, "pendulum"), played(model, 4).trials)
+        assert np.isfinite(shifted.values).all()

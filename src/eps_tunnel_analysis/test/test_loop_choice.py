@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the loop adds after each kind of verdict."""
+
+from collections.abc import Mapping
+
+import pytest
+
+from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Errors, Verdict, decide
+from eps_tunnel_analysis.loop.experimenter import chosen_effects
+from labyrinth_sim.registry import Registry
+
+REGISTRY = Registry.load()
+
+
+def verdict(probabilities: Mapping[str, float]) -> Verdict:
+    found = {NONE: 0.0, UNKNOWN: 0.0, **probabilities}
+    kind, effects, stated = decide(found, 0.9)
+    names = {effect for name in probabilities for effect in name.split(" + ") if name not in (NONE, UNKNOWN)}
+    marginals = {n: sum(p for name, p in probabilities.items() if n in name.split(" + ")) for n in names}
+    axis = AxisVerdict(marginals, found[NONE], found[UNKNOWN], {}, {}, (9.0, 1.0), (), ())
+    nothing = Errors(0.0, 0.0, 0.0)
+    return Verdict(
+        kind, effects, found, stated, 0.9, "", (), nothing, nothing, nothing, {"x": axis}, {}, 0, 0, 0.0
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "added", "why"),
+    [
+        ({"backlash.x": 0.97}, ("backlash.x",), ""),
+        ({NONE: 0.97}, (), ""),
+        ({UNKNOWN: 0.6, "backlash.x": 0.4}, (), ""),
+        # What all of them hold, as gravity load and load friction on a pendulum.
+        (
+            {"backlash.x + gravity_load.x": 0.5, "backlash.x + coulomb_friction.x": 0.45},
+            ("backlash.x",),
+            "These recordings leave 2 sets of effects; all of them hold backlash (belt slack) on x.",
+        ),
+        ({"backlash.x + gravity_load.x": 0.45, "gravity_load.x": 0.35, UNKNOWN: 0.2}, ("gravity_load.x",), "These"),
+        (
+            {"backlash.x": 0.6, UNKNOWN: 0.4},
+            ("backlash.x",),
+            "More likely than not, backlash (belt slack) on x is missing;",
+        ),
+        # Less likely than not: something unknown may be all there is.
+        ({"backlash.x": 0.46, UNKNOWN: 0.45, "gravity_load.x": 0.09}, (), ""),
+        # Twins: fewer effects first, then fewer values, then the more probable.
+        ({"stribeck_friction.x": 0.5, "coulomb_friction.x": 0.48}, ("coulomb_friction.x",), "No recording at hand"),
+        ({"backlash.x + return_spring.x": 0.5, "gravity_load.x": 0.48}, ("gravity_load.x",), "No recording at hand"),
+        ({"gravity_load.x": 0.45, "coulomb_friction.x": 0.5}, ("coulomb_friction.x",), "No recording at hand"),
+        # The simplest is to add nothing.
+        ({"gravity_load.x": 0.5, NONE: 0.45}, (), ""),
+    ],
+)
+def test_what_is_added(probabilities: dict[str, float], added: tuple[str, ...], why: str) -> None:
+    names, reason = chosen_effects(verdict(probabilities), REGISTRY)
+    assert names == added
+    assert reason.startswith(why) if why else reason == ""

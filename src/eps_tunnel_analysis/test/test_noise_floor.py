@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The noise floor by numbers: white noise, ticks with and without dither, drift, and what does not matter."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from eps_tunnel_analysis.diagnose.noise import SignalNoise, resolution, signal_noise
+from eps_tunnel_analysis.stamped import Readings, Series, readings
+
+STEP, SECONDS, WIDTH = 0.0025, 10.0, 0.01
+COUNT = round(SECONDS / STEP) + 1
+GRID = STEP * np.arange(COUNT)
+SIGMA, TICK = 1e-3, 1e-2
+Array = np.ndarray
+
+
+def motion(time: Array) -> Array:
+    return np.sin(2.0 * time)
+
+
+def bins_of(
+    trials: int, seed: int, seen: Callable[[Array, np.random.Generator], Array], jitter: float = 3e-4
+) -> tuple[Readings, list[Array]]:
+    """Trials of what a sensor says (T,) at these stamps (T,) s."""
+    rng = np.random.default_rng(seed)
+    even = np.arange(0.005, SECONDS - 0.01, WIDTH)
+    stamps = [even + jitter * rng.standard_normal(len(even)) for _ in range(trials)]
+    series = [Series(np.sort(time), seen(np.sort(time), rng)) for time in stamps]
+    return readings(series, SECONDS, STEP, COUNT, WIDTH), [one.values for one in series]
+
+
+def noisy(time: Array, rng: np.random.Generator) -> Array:
+    return motion(time) + SIGMA * rng.standard_normal(len(time))
+
+
+def rounded(dither: float) -> Callable[[Array, np.random.Generator], Array]:
+    def seen(time: Array, rng: np.random.Generator) -> Array:
+        return np.round((motion(time) + dither * rng.standard_normal(len(time))) / TICK) * TICK
+
+    return seen
+
+
+def middle(noise: SignalNoise) -> float:
+    return float(np.median(noise.floor))
+
+
+@pytest.mark.parametrize("trials", [2, 4, 16])
+def test_white_noise_of_the_mean_falls_with_the_root_of_the_trials(trials: int) -> None:
+    noise = signal_noise(*bins_of(trials, trials, noisy), WIDTH)
+    assert noise.single == pytest.approx(SIGMA, rel=0.1)
+    assert middle(noise) == pytest.approx(SIGMA / np.sqrt(trials), rel=0.1)
+    assert noise.tick == 0.0
+
+
+def test_rounding_without_noise_is_the_same_in_all_trials_and_does_not_average_out() -> None:
+    noise = signal_noise(*bins_of(5, 0, rounded(0.0), jitter=0.0), WIDTH, TICK)
+    assert noise.tick == pytest.approx(TICK, rel=0.01)
+    assert middle(noise) == pytest.approx(TICK / np.sqrt(12), rel=0.1)
+
+
+def test_noise_before_the_rounding_lets_it_average_out() -> None:
+    dither = 0.6 * TICK
+    noise = signal_noise(*bins_of(5, 1, rounded(dither), jitter=0.0), WIDTH, TICK)
+    assert middle(noise) == pytest.approx(np.sqrt((dither**2 + TICK**2 / 12) / 5), rel=0.15)
+    assert middle(noise) < 0.9 * np.sqrt(dither**2 / 5 + TICK**2 / 12)
+
+
+def test_a_tick_coarser_than_the_sensor_s_is_something_that_a_model_may_lack() -> None:
+    given = bins_of(5, 0, rounded(0.0), jitter=0.0)
+    known = middle(signal_noise(*given, WIDTH, TICK))
+    fine = signal_noise(*given, WIDTH, TICK / 4)
+    assert fine.tick == 0.0
+    assert middle(fine) < 0.01 * known
+
+
+def test_where_trials_drift_apart_the_floor_rises_there_only() -> None:
+    apart = iter(np.linspace(-0.05, 0.05, 5))
+
+    def drifting(time: Array, rng: np.random.Generator) -> Array:
+        return noisy(time, rng) + next(apart) * np.clip(time - 4.5, 0.0, 1.0)
+
+    noise = signal_noise(*bins_of(5, 2, drifting), WIDTH)
+    early, late = noise.floor[noise.time < 4.5], noise.floor[noise.time > 5.5]
+    assert np.median(early) == pytest.approx(SIGMA / np.sqrt(5), rel=0.2)
+    assert late == pytest.approx(np.full(len(late), np.std(np.linspace(-0.05, 0.05, 5), ddof=1)), rel=0.1)
+
+
+def test_what_does_not_matter_is_a_share_of_the_motion_and_a_time() -> None:
+    given = bins_of(4, 3, lambda time, _: motion(time))
+    share = signal_noise(*given, WIDTH, tolerance=0.01)
+    size = np.sqrt(np.var(motion(given[0].time)))
+    assert share.floor == pytest.approx(np.full(len(share.floor), 0.01 * size), rel=0.02)
+    late = signal_noise(*given, WIDTH, timing=0.01)
+    moving = np.abs(np.cos(2.0 * late.time)) > 0.5
+    mean = 0.01 / np.sqrt(given[0].single.shape[0])  # each trial is early or late by itself
+    assert late.floor[moving] == pytest.approx(mean * 2.0 * np.abs(np.cos(2.0 * late.time))[moving], rel=0.05)
+
+
+def test_within_a_tick_of_its_own_a_drive_stops_anywhere() -> None:
+    given = bins_of(4, 3, lambda time, _: motion(time))
+    fine, coarse = (signal_noise(*given, WIDTH, control_tick=tick) for tick in (0.0, 0.01))
+    assert coarse.floor**2 - fine.floor**2 == pytest.approx(np.full(len(fine.floor), 0.01**2 / 12.0), rel=1e-6)
+
+
+@pytest.mark.parametrize("by", [3.0, -3.0, 1e3])
+def test_a_signal_in_another_unit_or_the_other_way_round_has_its_floor_in_that_unit(by: float) -> None:
+    bins, raw = bins_of(5, 4, rounded(0.3 * TICK))
+    one = signal_noise(bins, raw, WIDTH, TICK, 0.005, 3e-4)
+    scaled = Readings(bins.time, by * bins.mean, bins.reading, by * bins.single, bins.stamps)
+    other = signal_noise(scaled, [by * r for r in raw], WIDTH, abs(by) * TICK, 0.005, 3e-4)
+    assert other.floor == pytest.approx(abs(by) * one.floor, rel=1e-6)
+
+
+def test_the_order_of_trials_does_not_matter() -> None:
+    bins, raw = bins_of(5, 5, noisy)
+    turned = Readings(bins.time, bins.mean, bins.reading, bins.single[::-1], bins.stamps[::-1])
+    one, other = (signal_noise(b, r, WIDTH) for b, r in ((bins, raw), (turned, raw[::-1])))
+    assert other.floor == pytest.approx(one.floor, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("seen", "tick", "jitter"),
+    [(noisy, 0.0, 3e-4), (rounded(0.6 * TICK), TICK, 3e-4), (rounded(0.0), TICK, 0.0)],
+    ids=["white", "dither", "ticks"],
+)
+def test_what_a_perfect_model_leaves_has_a_mean_square_of_one(
+    seen: Callable[[Array, np.random.Generator], Array], tick: float, jitter: float
+) -> None:
+    left = []
+    for seed in range(8):
+        bins, raw = bins_of(5, seed, seen, jitter)
+        noise = signal_noise(bins, raw, WIDTH, tick)
+        left.append(np.mean(((bins.reading @ motion(GRID) - bins.mean) / noise.floor) ** 2))
+    assert np.mean(left) == pytest.approx(1.0, abs=0.15)
+    assert np.std(left) < 0.15
+
+
+@pytest.mark.parametrize("tick", [5e-8, 0.0])
+def test_what_is_moved_in_a_sample_at_constant_speed_is_no_tick(tick: float) -> None:
+    time = np.arange(0, 4, 0.001)
+    position = np.where(time < 2.5, 0.01 * time, 0.025 + 0.005 * np.sin(2.0 * (time - 2.5)))
+    position += 1e-7 * np.random.default_rng(1).standard_normal(len(time))
+    seen = tick * np.round(position / tick) if tick else position
+    assert resolution([seen]) == pytest.approx(tick, rel=1e-3)
+
+
+def test_a_smooth_signal_has_no_tick() -> None:
+    rng = np.random.default_rng(6)
+    assert resolution([noisy(np.arange(0, 10, 0.01), rng)]) == 0.0
+    assert resolution([np.zeros(100)]) == 0.0

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evidence and refits on short plays of the labyrinth: laws that need roll-outs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fit_cases import FREE, plays, start
+from fit_cases import TRUTH as SLOW
+
+from eps_tunnel_analysis.diagnose.axis import nested_refits, rival_refits
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
+from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
+from labyrinth_sim.trials import Trials
+
+TRUTH = {**SLOW, "drive.x.delay": 0.03}  # whole samples, so that it is the same on any finer grid
+SIGNALS = ("motor_x", "board_x")
+FRICTIONS = ("load_friction", "directional_load_friction")  # the second contains the first
+
+
+@pytest.fixture(scope="module")
+def recorded() -> list[Play]:
+    return plays((3.0, -2.0), TRUTH)
+
+
+def evidence_of(recorded: list[Play], step: float = 0.002) -> Evidence:
+    model = start().with_values(TRUTH)
+    return Evidence(model, FREE, [play_evidence(model, p, SIGNALS) for p in recorded], SIGNALS, step, 1)
+
+
+def misfit(evidence: Evidence, **moved: float) -> float:
+    values = {**TRUTH, **{name.replace("_", "."): value for name, value in moved.items()}}
+    return float(np.mean((evidence(np.array(list(values.values()))) / evidence.floor) ** 2))
+
+
+def test_the_model_that_made_the_trials_leaves_the_noise_and_another_leaves_more(recorded: list[Play]) -> None:
+    evidence = evidence_of(recorded)
+    assert 0.4 < misfit(evidence) < 2.0
+    assert misfit(evidence, drive_x_p=15.0) > 5.0
+    assert misfit(evidence, drive_x_delay=0.036) > 5.0
+
+
+def test_the_order_of_the_trials_does_not_matter(recorded: list[Play]) -> None:
+    def turned(trials: Trials) -> Trials:
+        return replace(trials, values=trials.values[::-1], commands=trials.commands[::-1])
+
+    one, other = evidence_of(recorded), evidence_of([replace(p, trials=turned(p.trials)) for p in recorded])
+    assert other.mean == pytest.approx(one.mean, abs=1e-12)
+    assert other.floor == pytest.approx(one.floor, rel=1e-9)
+    assert misfit(other) == pytest.approx(misfit(one), rel=1e-6)
+
+
+def test_trials_on_clocks_of_their_own_say_the_same(recorded: list[Play]) -> None:
+    def late(play: Play) -> Play:
+        moved: list[StampedTrial] = [
+            trial.shifted(by) for trial, by in zip(stamped_from_grid(play.trials), (0.004, -0.003, -0.001), strict=True)
+        ]
+        return replace(play, stamped=tuple(moved))
+
+    even, uneven = evidence_of(recorded), evidence_of([late(p) for p in recorded])
+    assert misfit(uneven) == pytest.approx(misfit(even), rel=0.05)
+
+
+def test_stretches_of_time_are_the_same_for_all_signals_of_a_play(recorded: list[Play]) -> None:
+    evidence = evidence_of(recorded)
+    folds = evidence.fold(0.2)
+    assert len(np.unique(folds)) == 2 * 3
+    for block in np.unique(evidence.blocks):
+        assert (np.diff(folds[evidence.blocks == block]) >= 0).all()
+    motor, board = (folds[evidence.blocks == block] for block in (0, 1))
+    assert np.array_equal(motor, board)
+    assert not set(folds[evidence.blocks < 2]) & set(folds[evidence.blocks >= 2])
+
+
+# ---- sets that contain others
+
+
+@pytest.fixture
+def search(recorded: list[Play]) -> Search:
+    model = start().with_values(TRUTH)
+    part = next(p for p in axis_parts(model, recorded) if p.axis == "x")
+    return axis_search(model, recorded, part, SearchOptions(FRICTIONS, 1))
+
+
+def refit(search: Search, effects: tuple[str, ...], cost: float, **values: float) -> Refit:
+    at = search.start.copy()
+    for name, value in values.items():
+        column = next(i for i, full in enumerate(search.library.names) if full.endswith(f".{name}"))
+        at[column] = value
+    return Refit(effects, at, np.full(len(search.used), np.sqrt(cost)), cost, 3 + len(effects), True)
+
+
+@pytest.mark.parametrize(
+    ("smaller", "larger", "worse"),
+    [
+        ((), ("load_friction.x",), True),
+        (("load_friction.x",), ("load_friction.x", "directional_load_friction.x"), True),
+        (("load_friction.x",), ("directional_load_friction.x",), True),  # the effect itself contains it
+        (("directional_load_friction.x",), ("load_friction.x",), False),
+    ],
+)
+def test_a_set_that_fits_worse_than_one_it_contains_has_not_converged(
+    search: Search, monkeypatch: pytest.MonkeyPatch, smaller: tuple[str, ...], larger: tuple[str, ...], worse: bool
+) -> None:
+    monkeypatch.setattr(search, "judged", lambda jobs, rounds: [])  # no descent helps
+    base = refit(search, (), 2.0 if not smaller else 9.0)
+    found = nested_refits(search, base, [refit(search, e, c) for e, c in ((smaller, 2.0), (larger, 4.0)) if e])
+    assert {r.effects: r.converged for r in found}[larger] is not worse
+    near = nested_refits(search, base, [refit(search, e, c) for e, c in ((smaller, 2.0), (larger, 2.0)) if e])
+    assert all(r.converged for r in near)
+
+
+def test_it_is_started_again_from_the_one_that_it_contains(search: Search) -> None:
+    base = search.judged([((), search.start)], 2)[0]
+    stuck = refit(search, ("load_friction.x",), 100.0 * base.cost, share=0.5)
+    (found,) = nested_refits(search, base, [stuck])
+    assert found.converged
+    assert found.cost < 1.02 * base.cost
+
+
+def test_a_drives_value_is_mistaken_for_no_effect(search: Search) -> None:
+    first, *rest = search.library.candidates
+    value = replace(first, effect=replace(first.effect, name="drive.x"))
+    search.library = replace(search.library, candidates=(value, *rest))
+    assert rival_refits(search, refit(search, (value.name,), 1.0), []) == []

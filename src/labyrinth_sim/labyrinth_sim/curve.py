@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Free curves: smooth functions of one variable by a table of values, for effects that have no name yet.
+
+Between the knots the curve is the cubic of Keys (1981) through them, whose slope at a knot is that between its
+neighbours; before the first knot and after the last it is constant.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from labyrinth_sim.effect import Parameter, Values
+from labyrinth_sim.law import State
+from labyrinth_sim.trials import Array
+
+KNOTS = 10
+NAMES = tuple(f"k{i + 1}" for i in range(KNOTS))
+PLACES: Array = np.arange(KNOTS) / (KNOTS - 1)
+CROWDED = 50.0  # range of a speed over the speed below which its knots are evenly spaced
+
+
+def knots(unit: str, low: float, high: float, typical: Array, why: str) -> tuple[Parameter, ...]:
+    """The table's values as parameters `k1` to `k10`, off at 0, typically (10,)."""
+    return tuple(
+        Parameter(name, unit, low, high, 0.0, float(value), why) for name, value in zip(NAMES, typical, strict=True)
+    )
+
+
+def bounds_of_range(name: str, unit: str, low: float, high: float, typical: float) -> Parameter:
+    """One number of the range that the table covers; stated by whoever adds the curve and never fitted."""
+    return Parameter(name, unit, low, high, None, typical, "the range that the recordings visit", fitted=False)
+
+
+def curve(values: Values, share: Array) -> Array:
+    """Values of the curve of many simulations.
+
+    Args:
+        values: of its parameters, each (nsim,).
+        share: (nsim,) or (nsim, K) of the range, 0 at the first knot and 1 at the last.
+    """
+    table = np.stack([values[name] for name in NAMES], axis=1)
+    place = (KNOTS - 1) * np.clip(np.nan_to_num(share), 0.0, 1.0)
+    low = np.minimum(place.astype(np.int64), KNOTS - 2)
+    t = place - low
+    rows = np.arange(len(table)).reshape((-1,) + (1,) * (place.ndim - 1))
+    before, here, there, after = (table[rows, np.clip(low + k, 0, KNOTS - 1)] for k in (-1, 0, 1, 2))
+    first = 0.5 * (there - before)
+    second = before - 2.5 * here + 2.0 * there - 0.5 * after
+    third = 0.5 * (after - before) + 1.5 * (here - there)
+    return ((third * t + second) * t + first) * t + here
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def curve_and_slope(values: Array, share: float) -> tuple[float, float]:
+    """The same of one simulation, whose values begin with the table, as a law sees it; and its slope by the share."""
+    if not 0.0 < share < 1.0:
+        return (values[KNOTS - 1] if share >= 1.0 else values[0]), 0.0
+    place = (KNOTS - 1) * share
+    low = min(int(place), KNOTS - 2)
+    t = place - low
+    before, here = values[max(low - 1, 0)], values[low]
+    there, after = values[low + 1], values[min(low + 2, KNOTS - 1)]
+    first = 0.5 * (there - before)
+    second = before - 2.5 * here + 2.0 * there - 0.5 * after
+    third = 0.5 * (after - before) + 1.5 * (here - there)
+    value = ((third * t + second) * t + first) * t + here
+    return value, (KNOTS - 1) * ((3.0 * third * t + 2.0 * second) * t + first)
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def over_angle(values: Array, angle: float) -> float:
+    """The curve at an angle; `centre` and `half` of its range follow the table."""
+    value, _ = curve_and_slope(values, 0.5 + 0.5 * (angle - values[KNOTS]) / values[KNOTS + 1])
+    return value
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def from_zero(values: Array, variable: float) -> float:
+    """The curve at what is never negative; the end of its range follows the table."""
+    value, _ = curve_and_slope(values, variable / values[KNOTS])
+    return value
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def over_speed(values: Array, speed: float) -> tuple[float, float]:
+    """The curve at a speed, and its slope; `most`, at which its range ends on either side, follows the table.
+
+    Its knots are crowded about zero: dry friction changes there and hardly elsewhere.
+    """
+    slow = values[KNOTS] / CROWDED
+    full = 2.0 * math.asinh(CROWDED)
+    value, slope = curve_and_slope(values, 0.5 + math.asinh(speed / slow) / full)
+    return value, slope / (full * math.hypot(speed, slow))
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def other_angle(s: State) -> float:
+    """Angle of the first of the other axes' joints, rad."""
+    return s.qpos[s.drives[1 if s.channel == 0 else 0, 2]]
+
+
+def angle_share(angle: Array, values: Values) -> Array:
+    """Share of the range `centre` - `half` to `centre` + `half`; an angle (nsim,) or (nsim, K)."""
+    shape = (-1,) + (1,) * (angle.ndim - 1)
+    centre, half = values["centre"].reshape(shape), values["half"].reshape(shape)
+    return 0.5 + 0.5 * (angle - centre) / half
+
+
+def falling(size: float) -> Array:
+    """(10,) from `size` at the first knot to -`size` at the last, half a wave."""
+    return np.round(size * np.cos(np.pi * PLACES), 6)
+
+
+def rising(size: float) -> Array:
+    """(10,) from 0.4 `size` to `size`."""
+    return np.round(size * (0.4 + 0.6 * PLACES), 6)

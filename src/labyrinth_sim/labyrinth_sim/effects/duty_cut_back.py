@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Duty cut back under stall: the limit of MuJoCo's servo, set anew before every step."""
+
+from labyrinth_sim.effect import Effect, Parameter
+from labyrinth_sim.law import law, state
+
+
+@law
+def step(raw: int) -> None:
+    s = state(raw)
+    share, bound, time = s.values[0], s.values[1], s.values[2]
+    bias, full = s.base_bias[s.drive], s.base_limits[s.drive, 1]
+    wanted = s.base_gain[s.drive, 0] * s.ctrl[s.drive] + bias[0] + bias[1] * s.qpos[s.angle] + bias[2] * s.qvel[s.dof]
+    lasted = s.memory[0]
+    on = s.error[s.channel] == s.error[s.channel]  # it is no number where the drive is off
+    asked = on and abs(wanted) >= bound * full
+    if asked and lasted >= time:
+        s.limits[s.drive, 0] *= share
+        s.limits[s.drive, 1] *= share
+    s.memory[0] = lasted + s.step if asked else 0.0
+
+
+EFFECT = Effect(
+    name="duty_cut_back",
+    title="Duty cut back under stall",
+    physics="The firmware protects the motor: once it has asked for much of the full duty for a time, it gives a small "
+    "share of it until it asks for less.",
+    equation="|duty| <= s while |duty asked for| >= b for longer than T",
+    parameters=(
+        Parameter("share", "1", 0.02, 1.0, 1.0, 0.25, "protective torque in the firmware: a few per cent to no cut"),
+        Parameter("bound", "1", 0.1, 1.0, None, 0.4, "overload torque in the firmware; Feetech's default is 0.8"),
+        Parameter("time", "s", 0.0, 3.0, None, 0.0, "protection time in the firmware; Feetech's default is 2 s"),
+    ),
+    stage="force",
+    mark="Large steps and heavy loads are given up half-way: the axis sinks back or creeps, small motions are as ever.",
+    shows="passing",
+    confused_with=(
+        "torque_saturation",
+        "supply_sag",
+        "rate_limit",
+        "motion_profile",
+        "command_delay",
+        "load_friction",
+    ),
+    separated_by="Steps of growing size under load: saturation slows all large ones alike, the cut-back makes those "
+    "beyond its bound slower than those just below.",
+    touches=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+    step=step,
+)

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adding effects: the same answer as the diagnosis that named them, and an honest word on what that is worth."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from test_diagnosis import as_play, recorded, wrong_model
+
+from eps_tunnel_analysis.diagnose.addition import add_effects, addition_of
+from eps_tunnel_analysis.diagnose.diagnose import diagnose
+from eps_tunnel_analysis.diagnose.falls import by_recording, fall_sentences
+from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
+from labyrinth_sim.errors import InputError
+
+FEW = ("gravity_load", "sensor_bias")
+
+
+@pytest.mark.parametrize("name", ["gravity_load.x", "sensor_bias.motor_x"])
+def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str) -> None:
+    effect = name.partition(".")[0]
+    play = as_play(recorded(f"{effect}=strong", seed=3))
+    diagnosis = diagnose(wrong_model(), [play], only=FEW, nthread=1)
+    assert name in diagnosis.verdict.effects
+    named = diagnosis.verdict.effects
+    said, alone = addition_of(diagnosis, named, [play]), add_effects(wrong_model(), [play], named, 1)
+    main = [n for n in said.values if n.startswith(effect)]
+    for value in main:
+        assert alone.values[value] == pytest.approx(said.values[value], rel=0.02)
+    assert alone.after.error == pytest.approx(said.after.error, rel=0.05)
+    assert alone.before.error == pytest.approx(said.before.error, rel=0.05)
+    assert alone.given == said.given
+    assert dict(said.values) == dict(diagnosis.verdict.values)
+    assert alone.after.held_out != alone.after.error  # of stretches left out, though no recording was held out
+
+
+def test_values_at_their_bounds_are_told() -> None:
+    play = as_play(recorded())
+    added = add_effects(wrong_model(), [play], ["coulomb_friction.x", "command_delay.x"], 1)
+    at = [n for n, v in added.values.items() if v == 0.0 and not n.startswith("drive.")]
+    assert at
+    assert all(any(text.startswith(f"{n} lies at its bound") for text in added.doubts) for n in at)
+    assert not any(text.startswith("drive.x.back_emf") for text in added.doubts), "it stays as stated"
+    assert added.doubts[-1] in added.sentence
+
+
+def test_what_cannot_be_added_is_refused_before_anything_is_fitted() -> None:
+    play, model = as_play(recorded()), wrong_model()
+    with pytest.raises(InputError, match="Did you mean 'backlash"):
+        add_effects(model, [play], ["backlash.z"])
+    with pytest.raises(InputError, match="is in the model already"):
+        add_effects(model.with_effect("backlash", "x"), [play], ["backlash.x"])
+    still = replace(play, trials=replace(play.trials, commands=0 * play.trials.commands))
+    with pytest.raises(InputError, match="excite"):
+        add_effects(model, [still], ["backlash.x"])
+
+
+def errors(error: float, held_out: float, alikeness: float) -> Errors:
+    return Errors(error, held_out, alikeness)
+
+
+def plays(*errors: float) -> tuple[PlayError, ...]:
+    return tuple(PlayError(f"play {i}", i == len(errors) - 1, error) for i, error in enumerate(errors))
+
+
+def test_a_recording_that_got_worse_is_told_first_and_every_fall_names_its_yardstick() -> None:
+    three = (errors(0.02, 0.025, 0.1), errors(0.04, 0.05, 0.05), errors(0.01, 0.0225, 0.5))
+    each = (plays(0.02, 0.02, 0.025), plays(0.03, 0.05, 0.05), plays(0.008, 0.012, 0.04))
+    assert [one.name for one in by_recording(each)] == ["play 2", "play 1", "play 0"]
+    worse, fitted, held, alike = fall_sentences(three, each)
+    assert worse.startswith("Worse than the model as given on 1 of 3 recordings: play 2 (held out), 1.43 deg as given")
+    assert "50% lower than that of the model as given" in fitted
+    assert "75% lower than with its values refitted" in fitted
+    assert held.startswith("On recordings held out, ")
+    assert "10% lower than that of the model as given" in held
+    assert "10.00 % as given" in alike
+    assert "leave it out" in fall_sentences((three[0], three[2], three[1]), each)[-1]
+    one = tuple(p[:1] for p in each)
+    assert fall_sentences(three, one)[1].startswith("On stretches of time left out of the fit, ")

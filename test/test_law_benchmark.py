@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the benchmark of proposed laws counts: records made up, figures known; and what it draws."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from drawn_rigs.cases import draw
+from law import figures
+
+
+def case(effect="cogging", curve="curve_angle", visibility=10.0, period=0.0, other=None, **more):
+    said = {"axis": "x", "curve": curve, "period": period * 1.01 or None, "kind": "formula", "ties": []}
+    said |= {"other_command": other} if other else {}
+    hidden = {"effect": effect, "place": "x", "period": period}
+    return {"kind": "outside", "visibility": visibility, "hidden": [hidden], "proposals": [said], "base_on_own": 9.0,
+            **more}  # fmt: skip
+
+
+def test_a_variable_is_right_wrong_or_not_said():
+    silent = case() | {"proposals": [], "base_on_own": 1.0}
+    tied = case("quadratic_drag", "curve_angle")
+    tied["proposals"][0]["ties"] = ["curve_speed"]
+    found = figures([case(), case(curve="curve_speed"), silent, tied, case(visibility=1.0), case("loose_mount", "")])
+    assert (found["variable_right"], found["variable_right_n"]) == (pytest.approx(1 / 4), 4)
+    assert (found["variable_right_shown"], found["variable_right_shown_n"]) == (pytest.approx(1 / 3), 3)
+    assert found["variable_among_shown"] == pytest.approx(2 / 3)
+
+
+def test_half_of_the_true_form_is_counted_on_the_other_command():
+    records = [
+        case(other=[9.0, 4.0], base_on_other=9.0),
+        case(other=[9.0, 6.0], base_on_other=9.0),
+        case(base_on_other=9.0),  # nothing proposed
+        case(base_on_other=1.5),  # nothing to take away there
+        case(other=[9.0, 6.5], base_on_other=9.0, true_on_other=4.4, kind="left_out"),
+        case(other=[9.0, 6.5], base_on_other=9.0, true_on_other=8.0, kind="left_out"),  # the true form does not hold
+    ]
+    found = figures(records)
+    assert (found["half_of_true_form"], found["half_of_true_form_n"]) == (pytest.approx(2 / 4), 4)
+
+
+def test_healthy_rigs_and_periods():
+    quiet = {"kind": "healthy", "visibility": 0.0, "hidden": [], "proposals": []}
+    loud = quiet | {"proposals": [{"axis": "x", "kind": "curve"}]}
+    found = figures([quiet, loud, quiet, case(period=0.3)])
+    assert (found["healthy_silent"], found["healthy_silent_n"]) == (pytest.approx(2 / 3), 3)
+    assert found["period_error"] == pytest.approx(0.01) and found["period_right"] == 1.0
+    assert found["failed"] == 0.0
+
+
+def test_a_case_is_the_same_with_another_command_and_the_effect_can_be_chosen(tmp_path):
+    plain, fresh = draw(325, tmp_path / "a", kind="outside"), draw(325, tmp_path / "b", kind="outside", fresh=True)
+    assert plain.hidden == fresh.hidden and not plain.fresh and fresh.fresh
+    assert all(bag.exists() for bag in fresh.fresh)
+    assert draw(325, tmp_path / "c", kind="outside", effect="tight_places").hidden[0].effect == "tight_places"
