@@ -193,6 +193,14 @@ def test_an_effect_is_named_instead_of_one_that_it_contains_where_it_explains_mo
     assert rank(base, [close, wide], folds, runs, 10).marginals["a.x"] > 0.7
 
 
+def test_of_two_that_explain_alike_the_one_whose_values_are_near_what_is_stated_is_likelier() -> None:
+    unit = smooth_noise(SAMPLES, 0)
+    base, near, far = (hypothesis(e, np.sqrt(c) * unit) for e, c in (((), 50.0), (("a.x",), 1.0), (("b.x",), 1.0)))
+    folds, runs = np.arange(SAMPLES) * FOLDS // SAMPLES, np.zeros(SAMPLES, dtype=np.int64)
+    found = rank(base, [near, replace(far, strain=9.0)], folds, runs, 10).marginals
+    assert found["a.x"] / found["b.x"] == pytest.approx(np.exp(4.5), rel=0.05)
+
+
 def test_an_effect_more_that_explains_next_to_nothing_is_not_named() -> None:
     found = probabilities({(): 50.0, ("a.x",): 1.2, ("a.x", "b.x"): 1.0}, tried=1)
     assert found["a.x"] > 0.9

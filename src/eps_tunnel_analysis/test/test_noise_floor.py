@@ -98,10 +98,14 @@ def test_what_does_not_matter_is_a_share_of_the_motion_and_a_time() -> None:
     assert late.floor[moving] == pytest.approx(mean * 2.0 * np.abs(np.cos(2.0 * late.time))[moving], rel=0.05)
 
 
-def test_within_a_tick_of_its_own_a_drive_stops_anywhere() -> None:
-    given = bins_of(4, 3, lambda time, _: motion(time))
-    fine, coarse = (signal_noise(*given, WIDTH, control_tick=tick) for tick in (0.0, 0.01))
-    assert coarse.floor**2 - fine.floor**2 == pytest.approx(np.full(len(fine.floor), 0.01**2 / 12.0), rel=1e-6)
+def test_noise_that_is_larger_for_a_while_counts_where_it_is() -> None:
+    def louder(time: Array, rng: np.random.Generator) -> Array:
+        return motion(time) + SIGMA * np.where(time > 5.0, 5.0, 1.0) * rng.standard_normal(len(time))
+
+    noise = signal_noise(*bins_of(6, 3, louder), WIDTH)
+    calm, loud = (float(np.median(noise.floor[here])) for here in (noise.time < 4.5, noise.time > 5.5))
+    assert calm == pytest.approx(SIGMA / np.sqrt(6), rel=0.15)
+    assert loud == pytest.approx(5.0 * SIGMA / np.sqrt(6), rel=0.15)
 
 
 @pytest.mark.parametrize("by", [3.0, -3.0, 1e3])

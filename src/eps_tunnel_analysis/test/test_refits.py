@@ -5,15 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fit_cases import FREE, plays, start
+from fit_cases import FREE, made_by, plays, start, step
 from fit_cases import TRUTH as SLOW
 
 from eps_tunnel_analysis.diagnose.axis import nested_refits, rival_refits
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
+from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Trials
 
 TRUTH = {**SLOW, "drive.x.delay": 0.03}  # whole samples, so that it is the same on any finer grid
@@ -73,6 +75,56 @@ def test_stretches_of_time_are_the_same_for_all_signals_of_a_play(recorded: list
     motor, board = (folds[evidence.blocks == block] for block in (0, 1))
     assert np.array_equal(motor, board)
     assert not set(folds[evidence.blocks < 2]) & set(folds[evidence.blocks >= 2])
+
+
+# ---- the pose at the start, the drive's own ticks, and what is stated
+
+
+def part_search(model: Model, recorded: list[Play]) -> Search:
+    part = next(p for p in axis_parts(model, recorded) if p.axis == "x")
+    return axis_search(model, recorded, part, SearchOptions((), 1))
+
+
+def test_a_pose_that_was_read_wrongly_at_the_start_is_put_right_as_far_as_the_sensors_allow() -> None:
+    # Stiction holds the axis wherever it starts.
+    stuck = start().with_values(TRUTH).with_effect("coulomb_friction", "x", {"torque": 1.0}, "test")
+    search = part_search(stuck, [Play("stuck", made_by(stuck, step(0.1, samples=500)))])
+    exact = search.levels["exact"]
+    noise = exact.start_noise(0, "motor_x")
+    begun = exact.initial[0]["motor_x"][0]
+    search.levels = {level: e.started([{"motor_x": 1.5 * noise, "board_x": 1.5 * noise}]) for level, e in
+                     search.levels.items()}  # fmt: skip
+    search.settle_start(refit(search, (), 1.0), [["motor_x"], ["board_x"]])
+    settled = [e.initial[0]["motor_x"][0] for e in search.levels.values()]
+    assert abs(settled[0]) < 0.5 * noise < abs(begun + 1.5 * noise)
+    assert settled == [settled[0]] * len(settled)
+    far = [{"motor_x": 50.0 * noise, "board_x": 50.0 * noise}]
+    search.levels = {level: e.started(far) for level, e in search.levels.items()}
+    search.settle_start(refit(search, (), 1.0), [["motor_x"], ["board_x"]])
+    assert search.levels["exact"].initial[0]["motor_x"][0] > 40.0 * noise  # that is no noise of a sensor
+
+
+def test_the_ticks_of_a_drive_count_by_what_they_do_to_the_motion(recorded: list[Play]) -> None:
+    fine = part_search(start().with_values(TRUTH), recorded)
+    tick = 0.004
+    coarse = part_search(start().with_values({**TRUTH, "drive.x.feedback_tick": tick}), recorded)
+    more = np.sqrt(coarse.scale**2 - fine.scale**2)
+    assert (more > 0.0).all()
+    assert more.max() < tick  # for the motor filters them
+    coarse.see_ticks(coarse.start)
+    assert np.sqrt(coarse.scale**2 - fine.scale**2) == pytest.approx(more, rel=1e-9)  # and they count once
+
+
+def test_a_value_that_is_stated_is_left_only_for_a_reason(recorded: list[Play]) -> None:
+    model = start().with_values(TRUTH).with_effect("viscous_friction", "x", {"damping": 0.05}, "data sheet")
+    search = part_search(model, recorded)
+    column = search.library.base.index("viscous_friction.x.damping")
+    moved = search.start.copy()
+    moved[column] *= 1.0 + SETTINGS.loose
+    assert search.strain(search.start) == 0.0
+    assert search.strain(moved) == pytest.approx(1.0)
+    moved[search.library.base.index("drive.x.p")] *= 2.0  # a gain is anybody's guess
+    assert search.strain(moved) == pytest.approx(1.0)
 
 
 # ---- sets that contain others

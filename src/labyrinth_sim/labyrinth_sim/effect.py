@@ -182,7 +182,8 @@ class Effect:
         where: what it acts on: each axis, each measured position, or the ball.
         needs: "belt", "other_axis", "hinge", "ball"; what the rig must have beyond `where`.
         couples: whether what it does to its axis depends on how the other axes move.
-        contains: rows of own parameter, other effect, its parameter: set like that one's, it does what that one does.
+        contains: rows of own parameter, other effect, its parameter or a number: set like that, it does what that one
+            does.
         order: position among effects of the same stage, low first.
         nameless: a free curve: it says over what variable something is missing and not why. A candidate of no search
             unless asked for.
@@ -210,7 +211,7 @@ class Effect:
     where: Where = "axis"
     needs: tuple[str, ...] = ()
     couples: bool = False
-    contains: tuple[tuple[str, str, str], ...] = ()
+    contains: tuple[tuple[str, str, str | float], ...] = ()
     order: int = 0
     nameless: bool = False
     touches: tuple[str, ...] = ()
@@ -266,6 +267,7 @@ class Drive:
         free: parameters that a calibration fits unless told otherwise, `joint.armature` being the shaft's; empty for
             all.
         uncertain: those that data sheets give roughly, if at all; a diagnosis refits them along with the free ones.
+        loose: free ones of which what is stated gives the order of magnitude; a diagnosis holds them loosely.
     """
 
     name: str
@@ -283,10 +285,11 @@ class Drive:
     controller: "Callable[[Values, float], Controller | None] | None" = None
     free: tuple[str, ...] = ()
     uncertain: tuple[str, ...] = ()
+    loose: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         known = [p.name for p in self.parameters]
-        fitted = (*self.free, *self.uncertain)
+        fitted = (*self.free, *self.uncertain, *self.loose)
         wrong = [unknown_name("parameter", name, known) for name in fitted if name not in (*known, "joint.armature")]
         if wrong:
             raise InputError([f"Drive {self.name}, free: {text}" for text in wrong])

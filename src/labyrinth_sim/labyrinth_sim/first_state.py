@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from labyrinth_sim.model import Model
-from labyrinth_sim.rig import BALL_SIGNALS
+from labyrinth_sim.rig import BALL_SIGNALS, Axis, Measured
 from labyrinth_sim.site import Site, ball_site
 from labyrinth_sim.trials import Array
 
@@ -17,18 +17,20 @@ def first_state(
 ) -> tuple[Array, Array]:
     """qpos (nsim, nq) and qvel (nsim, nv) from measured signals, each (nsim,); NaN and absent ones are 0.
 
-    Where only one side of a belt is given the other follows without slip.
+    Of several sensors on a joint the finest says where it begins. Where only one side of a belt is given the other
+    follows without slip.
     """
     qpos = np.tile(mj.qpos0, (nsim, 1))
     qvel = np.zeros((nsim, mj.nv))
     given = dict(initial or {})
     for axis in model.rig.axes:
         for quantity, array, address in (("position", qpos, "qposadr"), ("velocity", qvel, "dofadr")):
-            known = {
-                m.joint: np.asarray(given[m.signal], float)
-                for m in axis.measured
-                if m.quantity == quantity and m.signal in given
-            }
+            known: dict[str, Array] = {}
+            for m in finest_first(axis):
+                if m.quantity == quantity and m.signal in given:
+                    coarser = np.broadcast_to(np.asarray(given[m.signal], float), (nsim,))
+                    finer = known.get(m.joint, coarser)
+                    known[m.joint] = np.where(np.isnan(finer), coarser, finer)
             ratio = _ratio(mj, axis.belt) if axis.belt else 1.0
             shaft = known.get(axis.joint, np.full(nsim, np.nan))
             load = known.get(axis.load, np.full(nsim, np.nan))
@@ -40,6 +42,11 @@ def first_state(
     if with_ball and model.rig.ball:
         place_ball(ball_site(model.rig, mj), mj, qpos, given)
     return qpos, qvel
+
+
+def finest_first(axis: Axis) -> list[Measured]:
+    """What is measured of an axis, what is read in the finest ticks first."""
+    return sorted(axis.measured, key=lambda m: m.resolution)
 
 
 def _ratio(mj: mujoco.MjModel, belt: str) -> float:

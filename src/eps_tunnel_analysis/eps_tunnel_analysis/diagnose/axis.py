@@ -151,7 +151,7 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
         general = wider[0]
         for parameter, contained, its in general.effect.contains:
             if contained == own.effect.name:
-                number = smaller.values[search.columns(own)[_place(own, its)]]
+                number = its if isinstance(its, float) else smaller.values[search.columns(own)[_place(own, its)]]
                 values[search.columns(general)[_place(general, parameter)]] = number
         values[search.columns(own)] = search.start[search.columns(own)]
         left.remove(general.name)
@@ -301,7 +301,8 @@ def _judged(
     drifts, uneven = any(r.drift for _, r in differ), any(r.jitter > p.timing for p, r in differ)
     tried = len(search.library.candidates)
     # What the base leaves of all samples says whether anything is missing; left-out ones, what explains it.
-    even = rank(Hypothesis(base, base.residuals), hypotheses, folds_of(search), search.blocks, tried, level=level,
+    whole = replace(alone, left_out=base.residuals)
+    even = rank(whole, hypotheses, folds_of(search), search.blocks, tried, level=level,
                 drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
     ranking = _uneven(even) if uneven else even
     return AxisDiagnosis(
@@ -332,7 +333,7 @@ def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> 
     span = (search.high - search.low)[columns]
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
     left = left_out(search.jacobian(refit), refit.residuals, folds_of(search), room, search.firmness[columns])
-    return Hypothesis(refit, left, tuple(frozenset(other.effects) for other in contains))
+    return Hypothesis(refit, left, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values))
 
 
 def folds_of(search: Search) -> NDArray[np.int64]:
@@ -351,8 +352,8 @@ def _explains(before: Refit, after: Refit) -> bool:
 
 
 def lowest(refits: Sequence[Refit]) -> Refit:
-    """Of least cost; of equal ones the one with fewest effects."""
-    return min(refits, key=lambda r: (r.cost, len(r.effects)))
+    """The best; of equal ones the one with fewest effects."""
+    return min(refits, key=lambda r: (r.objective, len(r.effects)))
 
 
 def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:

@@ -174,7 +174,9 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
         scale = np.hypot(scale, inexactness(evidence.time))
     count = partial(run.progress, part_name(part.axis)) if run.progress else None
     difference = BALL_DIFFERENCE if part.axis == BALL else DIFFERENCE
-    return Search(lib, levels, scale, np.flatnonzero(used), count, difference)
+    search = Search(lib, levels, scale, np.flatnonzero(used), count, difference)
+    search.see_ticks(search.start)
+    return search
 
 
 def _steady(play: PlayEvidence, channel: str) -> NDArray[np.bool_]:

@@ -11,6 +11,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.build import axes_couple
+from labyrinth_sim.first_state import finest_first
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
@@ -78,10 +79,10 @@ def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refi
         known: what such a search found already; then from there instead of from many others.
     """
     if known is None:
-        return base_from(search, base_starts(search, search.start, BASE_STARTS))
+        return base_from(search, base_starts(search, search.start, BASE_STARTS), first=True)
     again = search.start.copy()
     again[: len(search.library.base)] = [known[name] for name in search.library.base]
-    return base_from(search, [search.start, again])
+    return base_from(search, [search.start, again], first=True)
 
 
 def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
@@ -103,24 +104,42 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     return chosen[:keep]
 
 
-def base_from(search: Search, points: Sequence[Array]) -> Refit:
-    """The base values alone, descended from (K,) values whose effects do not count."""
+def base_from(search: Search, points: Sequence[Array], first: bool = False) -> Refit:
+    """The base values alone, descended from (K,) values whose effects do not count.
+
+    Args:
+        first: nothing was refitted before; then the noise floor is settled, too.
+    """
     size = len(search.library.base)
     starts = [np.concatenate([point[:size], search.start[size:]]) for point in points]
     early = search.refit([((), point) for point in starts], BASE_ROUNDS, rough=False)
-    best = sorted(early, key=lambda r: r.cost)[:BASE_FINALISTS]
+    best = sorted(early, key=lambda r: r.objective)[:BASE_FINALISTS]
     finer = search.refit([((), r.values) for r in best], BASE_ROUNDS, "fine", rough=False)
-    away = along_valley(search, min(finer, key=lambda r: r.cost))
+    away = along_valley(search, min(finer, key=lambda r: r.objective))
     finer += search.refit([((), point) for point in away], BASE_ROUNDS,
                           "fine", rough=False)  # fmt: skip
-    finer = sorted(finer, key=lambda r: r.cost)[:BASE_FINALISTS]
+    finer = sorted(finer, key=lambda r: r.objective)[:BASE_FINALISTS]
+    joints = sensed_joints(search)
+    if first and joints:
+        search.settle_start(finer[0], joints)
+        search.see_ticks(finer[0].values)
     search.feel(finer[0])
     last = search.refit([((), r.values) for r in finer], BASE_ROUNDS, "fine")
-    best_of_all = min(last, key=lambda r: r.cost)
+    best_of_all = min(last, key=lambda r: r.objective)
     search.refine_at(best_of_all.values)
     result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
     search.settle_at(result)
     return result
+
+
+def sensed_joints(search: Search) -> list[list[str]]:
+    """For each joint whose position is compared its signals, the finest first."""
+    found: dict[str, list[str]] = {}
+    for axis in search.library.model.rig.axes:
+        for m in finest_first(axis):
+            if m.quantity == "position" and m.signal in search.evidence.signals:
+                found.setdefault(m.joint, []).append(m.signal)
+    return list(found.values())
 
 
 def along_valley(search: Search, refit: Refit) -> list[Array]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eps_tunnel_analysis.fit.problem import full_name
 from labyrinth_sim.effect import Effect, Parameter, Size
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
@@ -109,6 +110,14 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
             model = model.with_effect(effect, place, effect.off, "switched off")
             found.append(candidate(model, effect, place))
     return Library(model, tuple(base), tuple(found))
+
+
+def loosely_known(model: Model, name: str) -> bool:
+    """Whether a free value of a model is stated, and by more than a guess: as its drive declares, or with an effect."""
+    if model.values()[name] == 0.0:
+        return False
+    declared = [full_name(axis, own) for axis in model.rig.axes for own in model.drives[axis.name].kind.loose]
+    return name in declared or any(name.startswith(f"{use.effect.name}.{use.place}.") for use in model.effects)
 
 
 def candidate(model: Model, effect: Effect, place: str, given: Mapping[str, float] | None = None) -> Candidate:

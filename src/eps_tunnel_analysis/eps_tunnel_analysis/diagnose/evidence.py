@@ -5,7 +5,8 @@ Nothing is resampled: commands act at their own stamps, and a model is rolled ou
 where each sample was taken. So a verdict depends neither on an analysis grid nor on jittering stamps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -54,14 +55,11 @@ def play_evidence(model: Model, play: Play, signals: Sequence[str]) -> PlayEvide
     apart = np.median(np.concatenate([np.diff(one.time) for one in series])) if series else play.trials.step
     width = max(float(apart), NARROWEST)
     resolution = {m.signal: m.resolution for m in model.rig.measured}
-    stated, noise = model.values(), []
-    ticks = {m.signal: stated.get(f"drive.{axis.name}.feedback_tick", 0.0)
-             for axis in model.rig.axes for m in axis.measured if m.quantity == "position"}  # fmt: skip
+    noise = []
     for name in signals:
         bins = readings([t.signals[name] for t in trials], seconds, width, int(seconds / width) + 2, width)
         raw = [t.signals[name].values for t in trials]
-        noise.append(signal_noise(bins, raw, width, resolution.get(name, 0.0), SETTINGS.tolerance, SETTINGS.timing,
-                                  ticks.get(name, 0.0)))  # fmt: skip
+        noise.append(signal_noise(bins, raw, width, resolution.get(name, 0.0), SETTINGS.tolerance, SETTINGS.timing))
     return PlayEvidence(play, trials, seconds, width, tuple(noise))
 
 
@@ -105,10 +103,30 @@ class Evidence:
         self.time = np.concatenate([n.time for n in noise])
         self.blocks = np.repeat(np.arange(len(noise)), [len(n.time) for n in noise])
 
+    def like(self, step: float, model: Model | None = None) -> "Evidence":
+        """The same with other steps, in s, and of another model where one is given; it starts in the same poses."""
+        other = Evidence(model or self.model, self.free, self.plays, self.signals, step, self.nthread, self.spread)
+        other.initial = self.initial
+        return other
+
     def finer(self) -> "Evidence":
         """The same with steps half as long."""
-        step = min(self._steps) / 2.0
-        return Evidence(self.model, self.free, self.plays, self.signals, step, self.nthread, self.spread)
+        return self.like(min(self._steps) / 2.0)
+
+    def started(self, shifts: Sequence[Mapping[str, float]]) -> "Evidence":
+        """The same, each play beginning with these signals elsewhere by so much, in their units."""
+        other = copy(self)
+        other.__dict__.pop("_residuals", None)
+        other.initial = [
+            {name: value + shift.get(name, 0.0) for name, value in pose.items()}
+            for pose, shift in zip(self.initial, shifts, strict=True)
+        ]
+        return other
+
+    def start_noise(self, play: int, signal: str) -> float:
+        """By how much the pose in which a play starts may be off: its first samples' noise, over all trials."""
+        noise = self.plays[play].noise[self.signals.index(signal)]
+        return float(np.sqrt((noise.single**2 + noise.tick**2 / 12.0) / len(self.plays[play].trials)))
 
     def count(self, play: int) -> int:
         """Points of a play's simulation grid."""

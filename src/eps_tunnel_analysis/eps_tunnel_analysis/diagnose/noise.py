@@ -51,7 +51,6 @@ def signal_noise(
     known_tick: float = 0.0,
     tolerance: float = 0.0,
     timing: float = 0.0,
-    control_tick: float = 0.0,
 ) -> SignalNoise:
     """Noise of one signal of one play.
 
@@ -63,7 +62,6 @@ def signal_noise(
             sensor but something that a model may lack, so it is not counted.
         tolerance: share of the motion's root mean square that does not matter.
         timing: s, by how much one trial may be early or late.
-        control_tick: in which the drive itself sees its angle: within one it stops anywhere.
     """
     trials = bins.single.shape[0]
     mean = _mean(bins.single, 0)
@@ -75,18 +73,28 @@ def signal_noise(
     tick = resolution(raw)
     if tick > TICK_SHARE * (known_tick or np.inf):
         tick = 0.0
-    spread = np.nan_to_num(_mean(deviations**2, 0)) * share
     window = max(1, round(DRIFT / width))
-    # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
-    slow = np.maximum(uniform_filter1d(spread, window, mode="nearest") - CHANCE * white, 0.0) if trials > 1 else 0.0
+    around: float | Array = white  # an effort, say, is noisier in motion than at rest
+    slow: float | Array = 0.0
+    if trials > 1:
+        # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
+        spread = _around(_mean(deviations**2, 0), window) * share
+        around = np.minimum(0.5 * _around(_mean(jumps**2, 0), window, len(bins.time)) * share, spread)
+        slow = np.maximum(spread - CHANCE * around, 0.0)
     motion = float(np.sqrt(np.var(bins.mean)))
     rounding = _rounding(bins, tick, max(white - tick**2 / 12.0, 0.0))
     early = timing / np.sqrt(trials) * _slope(bins)
-    allowed = (tolerance * motion) ** 2 + early**2 + control_tick**2 / 12.0
-    floor = np.sqrt(white / trials + rounding + slow + allowed)
+    allowed = (tolerance * motion) ** 2 + early**2
+    floor = np.sqrt(around / trials + rounding + slow + allowed)
     # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
     least = 1e-7 * max(float(np.ptp(bins.mean)), 1e-3)
     return SignalNoise(bins.time, bins.mean, float(np.sqrt(white)), tick, np.maximum(floor, least))
+
+
+def _around(values: Array, window: int, length: int | None = None) -> Array:
+    """(b,) running means of values, (b,) or one fewer where `length` is b."""
+    means = uniform_filter1d(np.nan_to_num(values), window, mode="nearest")
+    return means if length is None else np.append(means, means[-1:])[:length]
 
 
 def _rounding(bins: Readings, tick: float, noise: float) -> Array:

@@ -37,11 +37,13 @@ class Hypothesis:
         refit: on all samples.
         left_out: (R,) residuals of each sample by values fitted to the other stretches, in units of the noise floor.
         contains: sets of effects that it can be set to do the same as, beside those that it has all of.
+        strain: how far its values are from what is stated, as a sum of squares in units of what is expected of each.
     """
 
     refit: Refit
     left_out: Array
     contains: tuple[frozenset[str], ...] = ()
+    strain: float = 0.0
 
     @property
     def cost(self) -> float:
@@ -185,7 +187,7 @@ def rank(
     first = 1 + len(hypotheses)
     lowest_curve = worst[:, first:].min(axis=1) if curves else np.full(len(costs), np.inf)
     none, shares, unknown = _probabilities(
-        hypotheses, base.refit.free, costs[:, :first], worst[:, :first], lowest_curve, worth, tried, level / unit,
+        base, hypotheses, costs[:, :first], worst[:, :first], lowest_curve, worth, tried, level / unit,
         floor,
     )  # fmt: skip
     if not floor:
@@ -252,8 +254,8 @@ def _draws(folds: int) -> Array:
 
 
 def _probabilities(
+    bare: Hypothesis,
     hypotheses: Sequence[Hypothesis],
-    free: int,
     costs: Array,
     worst: Array,
     curve: Array,
@@ -265,8 +267,8 @@ def _probabilities(
     """For each draw: probability of none (d,), of each set (d, h), of something unknown (d,).
 
     Args:
+        bare: the base alone.
         hypotheses: h of them.
-        free: values of the base alone.
         costs: (d, 1 + h) floors left by the base and by each: what tells them apart.
         worst: the same of each one's worst signal: what tells whether anything is left.
         curve: (d,) floors left by the best free curve.
@@ -286,9 +288,11 @@ def _probabilities(
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # What fits as well with fewer values is the likelier for it (Schwarz 1978).
-    scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - free, 0) for h in hypotheses])
+    scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
     scores += np.log(np.maximum(_needed(hypotheses, base, left, before), 1e-300))
-    alone = -0.5 * worth * _surprise(costs[:, 0] / known)
+    # A value far from what is stated is evidence as a misfit is.
+    scores -= 0.5 * np.array([h.strain for h in hypotheses])
+    alone = -0.5 * worth * _surprise(costs[:, 0] / known) - 0.5 * bare.strain
     shares = np.exp(scores - scores.max(axis=1, keepdims=True))
     shares /= shares.sum(axis=1, keepdims=True)
     if not floor:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, loosely_known, starts
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import jacobian
@@ -59,6 +59,7 @@ class Refit:
         cost: mean square of the residuals.
         free: how many values were fitted.
         converged: no set that it contains fits better.
+        held: what is added to the cost for values far from what is stated, as a descent weighs it.
         steps: (K,) finite differences, normalised, that suit it; None for those to begin with.
     """
 
@@ -68,7 +69,13 @@ class Refit:
     cost: float
     free: int
     converged: bool
+    held: float = 0.0
     steps: Array | None = None
+
+    @property
+    def objective(self) -> float:
+        """What a descent makes small."""
+        return self.cost + self.held
 
 
 @dataclass(frozen=True)
@@ -85,13 +92,13 @@ class TrialPoint:
 
 
 def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
-    """The refit of least cost of each set of effects, best first; those of no finite cost are left out."""
+    """The best refit of each set of effects, best first; those of no finite cost are left out."""
     best: dict[frozenset[str], Refit] = {}
     for refit in refits:
         same = best.get(frozenset(refit.effects))
-        if np.isfinite(refit.cost) and (same is None or refit.cost < same.cost):
+        if np.isfinite(refit.cost) and (same is None or refit.objective < same.objective):
             best[frozenset(refit.effects)] = refit
-    return sorted(best.values(), key=lambda r: (r.cost, r.effects))
+    return sorted(best.values(), key=lambda r: (r.objective, r.effects))
 
 
 class Search:
@@ -123,13 +130,17 @@ class Search:
         self.start = np.clip([infos[name].value for name in library.names], self.low, self.high)
         self.blocks = self.evidence.blocks[used]
         self.signal = self.blocks % len(self.evidence.signals)
-        self.scale = scale[used]
+        self.scale = self._noise = scale[used]
         self.evaluations = 0
         self.progress = progress
         self._shift = np.zeros(len(used))  # what the coarse step gets wrong, near where the search is
         self._column = {name: i for i, name in enumerate(library.names)}
         #: (K,) how firmly each value is expected to be as stated, per share of its span; 0 for what is free.
         self.firmness = np.zeros(len(self.start))
+        for column, name in enumerate(library.base[: len(library.base) - library.rough]):
+            if loosely_known(library.model, name):
+                share = SETTINGS.loose * abs(self.start[column]) / (self.high - self.low)[column]
+                self.firmness[column] = np.sqrt(SETTINGS.correlated) / share
         base = np.arange(len(library.base) - library.rough, len(library.base))
         span = (self.high - self.low)[base]
         self._spread = SETTINGS.rough * np.where(self.start[base] != 0.0, np.abs(self.start[base]), span)
@@ -149,6 +160,60 @@ class Search:
         if self.progress:
             self.progress(self.evaluations)
         return seen + self._shift if level == "coarse" else seen
+
+    def strain(self, values: Array) -> float:
+        """How far values (K,) are from what is stated, as a sum of squares in units of what is expected of each."""
+        off = self.firmness * (values - self.start) / (self.high - self.low)
+        return float(np.sum(off**2)) / SETTINGS.correlated
+
+    def _held_at(self, values: Array) -> float:
+        return self.strain(values) * SETTINGS.correlated / len(self.used)
+
+    def see_ticks(self, values: Array) -> None:
+        """Adds to the noise what the drives' own ticks do to the motion at these values (K,).
+
+        Within one a drive stops anywhere. The model's ticks and the rig's lie at different phases, so each of the two
+        moves the motion by that much.
+        """
+        exact, smooth = self.levels["exact"], self.levels["fine"].model
+        if smooth.values() == exact.model.values():
+            return
+        without = exact.like(exact.step(0), smooth)
+        moved = np.nan_to_num((exact(values[None]) - without(values[None]))[0, self.used])
+        self.evaluations += 2
+        each = np.bincount(self.blocks, moved**2) / np.maximum(np.bincount(self.blocks), 1)
+        scale = np.sqrt(self._noise**2 + 2.0 * each[self.blocks])
+        self._shift *= self.scale / scale
+        self.scale = scale
+
+    def settle_start(self, refit: Refit, joints: Sequence[Sequence[str]]) -> None:
+        """Moves the pose in which each play starts to where a refit says that it was, as far as its sensors allow.
+
+        A first sample is as coarse as any other, and what rests by stiction goes on from there for long.
+
+        Args:
+            joints: for each joint the signals that measure its position, the finest first.
+        """
+        exact = self.levels["exact"]
+        plays = range(len(exact.plays))
+        noise = np.array([[exact.start_noise(play, names[0]) for names in joints] for play in plays])
+        here = self.residuals(refit.values[None], "exact")[0]
+        slopes = []
+        for names, column in zip(joints, noise.T, strict=True):
+            moved = exact.started([dict.fromkeys(names, float(by)) for by in column])
+            slopes.append(np.nan_to_num(moved(refit.values[None])[0, self.used] / self.scale - here))
+            self.evaluations += 1
+        own = self.blocks // len(exact.signals)
+        less = SETTINGS.correlated * max(refit.cost, 1.0)  # samples are worth less, the more where something is missing
+        found = []
+        for play in plays:
+            at = own == play
+            change = np.column_stack([slope[at] for slope in slopes])
+            normal = change.T @ change / less + np.eye(len(joints))
+            by = np.clip(np.linalg.solve(normal, -change.T @ here[at] / less), -FARTHEST, FARTHEST) * noise[play]
+            found.append({name: float(b) for names, b in zip(joints, by, strict=True) for name in names})
+        self.levels = {level: evidence.started(found) for level, evidence in self.levels.items()}
+        self.evidence = self.levels["coarse"]
 
     def settle_at(self, refit: Refit) -> None:
         """Corrects coarse roll-outs by what the exact step says at a refit."""
@@ -221,7 +286,7 @@ class Search:
         return [
             Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],
                   float(np.mean(result.residuals[row, :size] ** 2)), int(free[row].sum()), bool(result.converged[row]),
-                  result.steps[row])
+                  self._held_at(values[row]), result.steps[row])
             for row, (candidates, _) in enumerate(jobs)
         ]  # fmt: skip
 
@@ -262,7 +327,7 @@ class Search:
             shown = self.residuals(points, "exact")
             shifts = shifts + shown - np.array([r.residuals for r in refits])
             exact = [_with_residuals(r, row) for r, row in zip(refits, shown, strict=True)]
-            best = [min(pair, key=lambda r: r.cost) for pair in zip(best or exact, exact, strict=True)]
+            best = [min(pair, key=lambda r: r.objective) for pair in zip(best or exact, exact, strict=True)]
         return best
 
     def _rough(self, refits: Sequence[Refit]) -> list[bool]:
@@ -326,7 +391,8 @@ class Search:
 
     def at(self, values: Array, like: Refit) -> Refit:
         """The refit that has these values (K,)."""
-        return _with_residuals(replace(like, values=values), self.residuals(values[None])[0])
+        there = replace(like, values=values, held=self._held_at(values))
+        return _with_residuals(there, self.residuals(values[None])[0])
 
     def moved(self, refit: Refit) -> Array:
         """(k, K) values of a refit with each of its fitted ones, the base's first, moved by a finite difference."""

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class DiagnosisSettings:
     """Attributes:
-    tolerance: share of a signal's motion (root mean square) that does not matter. Chosen: a tenth of what a user would
-        see, and what healthy rigs of other physics than the model's leave.
+    tolerance: share of a signal's motion (root mean square) that does not matter. Chosen: a twentieth of what a
+        user would see; healthy rigs of other physics than the model's leave .1 % and less.
     timing: s, by which one trial's motion may be early or late. Derived: the deviation of what happens at any time
         within the period of a firmware's loop of 1 kHz, each trial at a phase of its own.
     rough: share of a stated value, or of its bounds' span where 0 is stated, within which a value that is known roughly
         is expected (standard deviation). Chosen: what data sheets of servos are off by.
+    loose: share of a stated value within which the free ones are expected of which a data sheet gives the order of
+        magnitude (standard deviation). Chosen: twice what one winding is off by another of the same servo.
     correlated: samples that one of a motion's residuals is worth less than an independent one, against which that
         expectation is weighed. Measured: 10 to 30 on tuning rigs.
     healthy: floors of the worst signal; more than this is missing something if an effect explains it, and two widths
@@ -36,9 +38,10 @@ class DiagnosisSettings:
     seeds: of the rigs on which these were chosen; no reported figure uses them.
     """
 
-    tolerance: float = 0.001
+    tolerance: float = 0.0005
     timing: float = 0.001 / 12**0.5
     rough: float = 0.15
+    loose: float = 0.5
     correlated: float = 20.0
     healthy: float = 1.6
     form: float = 0.05

@@ -81,4 +81,5 @@ DRIVE = Drive(
     by_duty=True,
     full=full,
     free=("kp", "resistance", "torque_constant", "joint.armature", "delay"),
+    loose=("kp", "resistance", "torque_constant", "joint.armature"),
 )

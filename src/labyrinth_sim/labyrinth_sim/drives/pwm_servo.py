@@ -75,4 +75,5 @@ DRIVE = Drive(
     full=full,
     free=("resistance", "torque_constant", "joint.armature", "delay"),
     uncertain=("feedback_delay",),
+    loose=("resistance", "torque_constant", "joint.armature"),
 )

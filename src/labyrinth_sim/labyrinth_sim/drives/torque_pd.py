@@ -65,4 +65,5 @@ DRIVE = Drive(
     full=full,
     free=("stiffness", "damping", "delay"),
     uncertain=("back_emf", "torque", "joint.armature"),
+    loose=("stiffness", "damping"),
 )

@@ -28,7 +28,7 @@ EFFECT = Effect(
     equation="|duty| <= s while |duty asked for| >= b for longer than T",
     parameters=(
         Parameter("share", "1", 0.02, 1.0, 1.0, 0.25, "protective torque in the firmware: a few per cent to no cut"),
-        Parameter("bound", "1", 0.1, 1.0, None, 0.4, "overload torque in the firmware; Feetech's default is 0.8"),
+        Parameter("bound", "1", 0.02, 1.0, None, 0.4, "overload torque in the firmware; Feetech's default is 0.8"),
         Parameter("time", "s", 0.0, 3.0, None, 0.0, "protection time in the firmware; Feetech's default is 2 s"),
     ),
     stage="force",

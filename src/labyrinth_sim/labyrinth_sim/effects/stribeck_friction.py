@@ -21,7 +21,9 @@ EFFECT = Effect(
     equation="F = F_s exp(-(speed / v_s)^2) on top of Coulomb friction; torque = -F sign(speed)",
     parameters=(
         Parameter("extra", "N m", 0.0, 1.0, 0.0, 0.2, "as large as Coulomb friction at most"),
-        Parameter("speed", "rad/s", 0.01, 2.0, None, 0.1, "published values for gears lie between 0.01 and 1 rad/s"),
+        Parameter(
+            "speed", "rad/s", 0.01, 20.0, None, 0.1, "0.01 to 1 rad/s for gears as published; far above it is Coulomb's"
+        ),
     ),
     stage="force",
     mark="Slow motion goes in jerks (stick-slip); friction is felt near reversals and gone at speed.",
@@ -33,6 +35,7 @@ EFFECT = Effect(
         "backlash",
         "lugre_friction",
     ),
+    contains=(("extra", "coulomb_friction", "torque"), ("speed", "coulomb_friction", 20.0)),
     separated_by="Triangles at several speeds: Stribeck's friction falls with speed, Coulomb's does not.",
     touches=("dof_frictionloss",),
     step=step,
