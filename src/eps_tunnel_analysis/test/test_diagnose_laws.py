@@ -5,6 +5,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_recordings import write_rig
 
+from eps_tunnel_analysis.diagnose import axes as axes_module
 from eps_tunnel_analysis.diagnose import rank as rank_module
 from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.candidates import library, starts
@@ -502,3 +504,36 @@ def test_how_harsh_a_motion_is_does_not_hang_on_how_often_it_was_sampled() -> No
     assert jerk(100.0) == pytest.approx(jerk(200.0), rel=0.01)
     time = np.arange(0.0, 10.0, 0.01)
     assert harshness(0.1 * np.sin(5.0 * time)[:, None], time, 2) == pytest.approx(0.1 * 25.0 / np.sqrt(2.0), rel=0.01)
+
+
+# ---- several axes
+
+
+def judged_axis(name: str, cost: float, lacking: str = "") -> Any:
+    """What one axis of the arm was found to lack, its base leaving so many floors."""
+    lib = library(load_model("two_link_arm"), (), only=["constant_torque", "coulomb_friction"])
+    effects = (f"{lacking}.{name}",) if lacking else ()
+    refit = SimpleNamespace(effects=effects, values=np.full(len(lib.names), 0.1))
+    return SimpleNamespace(part=SimpleNamespace(axis=name), search=SimpleNamespace(library=lib), best=refit,
+                           base=SimpleNamespace(cost=cost), acting=lambda named: refit)  # fmt: skip
+
+
+@pytest.mark.parametrize("rig", ["two_link_arm", "labyrinth"])
+def test_axes_that_shake_one_another_are_judged_beside_what_the_others_lack(
+    rig: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def judged(model: Any, plays: Any, part: Any, *options: Any) -> Any:
+        asked.append((part.axis, [f"{use.effect.name}.{use.place}" for use in model.effects]))
+        return judged_axis(part.axis, 1.0)  # now that the other is right, this one is healthy
+
+    monkeypatch.setattr(axes_module, "diagnose_axis", judged)
+    axes = [judged_axis("shoulder", 30.0, "constant_torque"), judged_axis("elbow", 4.0, "coulomb_friction")]
+    found = axes_module.beside_one_another(load_model(rig), [], axes, Any, {}, Bases())
+    if rig == "labyrinth":  # whose axes' inertia is not felt by one another
+        assert found == axes
+        assert asked == []
+    else:
+        assert asked == [("elbow", ["constant_torque.shoulder"])]
+        assert [axis.best.effects for axis in found] == [("constant_torque.shoulder",), ()]

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all axes lack together: its probabilities, the models that have it, and what is said of each axis."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, diagnose_axis
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
+from eps_tunnel_analysis.diagnose.base_values import Bases, dynamics_couple
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 
 
@@ -32,6 +35,33 @@ def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[s
             model = model.with_values({p: values[p] for p in candidate.parameters}, "diagnosis")
         model = model.with_values({p: values[p] for p in library.base}, "diagnosis")
     return model
+
+
+def beside_one_another(
+    model: Model,
+    plays: Sequence[Play],
+    axes: Sequence[AxisDiagnosis],
+    run: SearchOptions,
+    levels: Mapping[str, float],
+    bases: Bases,
+) -> list[AxisDiagnosis]:
+    """The axes, each one judged again beside what the others were found to lack, where they shake one another.
+
+    What another axis lacks moves it otherwise, and that looks as if this one lacked something, too. Those that leave
+    least come first, for they are likely to be healthy. `levels` and `bases` as for one axis.
+    """
+    found = list(axes)
+    if len(found) < 2 or not dynamics_couple(model):
+        return found
+    for i in sorted(range(len(found)), key=lambda i: (found[i].base.cost, i)):
+        others = [axis for axis in found if axis is not found[i]]
+        lacking = {name for axis in others for name in axis.best.effects}
+        own = found[i].part.axis
+        if lacking and found[i].search.library.candidates:
+            beside = with_refits(model, others, lacking)
+            known = Bases({own: bases.values[own]}) if own in bases.values else Bases()
+            found[i] = diagnose_axis(beside, plays, found[i].part, run, levels.get(own, 0.0), known)
+    return found
 
 
 def fitted_names(axes: Sequence[AxisDiagnosis], named: Collection[str]) -> set[str]:

@@ -60,12 +60,12 @@ def fitted_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart],
             settled &= abs(refit.cost - costs.get(part.axis, np.inf)) <= SETTLED_BASE * refit.cost
             costs[part.axis], evaluations = refit.cost, evaluations + search.evaluations
             bases = Bases({**bases.values, part.axis: values}, evaluations)
-        if settled or not _dynamics_couple(model):
+        if settled or not dynamics_couple(model):
             break
     return bases
 
 
-def _dynamics_couple(model: Model) -> bool:
+def dynamics_couple(model: Model) -> bool:
     """Whether one axis carries another, so that its motion shakes the other's joints."""
     return axes_couple(model) or any(use.effect.couples for use in model.effects)
 

@@ -6,7 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from eps_tunnel_analysis.compare import Comparison
-from eps_tunnel_analysis.diagnose.axes import axis_verdict, fitted_names, left_out_error, together, with_refits
+from eps_tunnel_analysis.diagnose.axes import (
+    axis_verdict,
+    beside_one_another,
+    fitted_names,
+    left_out_error,
+    together,
+    with_refits,
+)
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, diagnose_axis, floor_known
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, ball_part, moved_parts
 from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
@@ -88,6 +95,7 @@ def diagnose(
     # Each axis by itself, the others moving as they do.
     bases = fitted_bases(model, alone, moved, run)
     axes = [diagnose_axis(model, alone, part, run, (levels or {}).get(part.axis, 0.0), bases) for part in moved]
+    axes = beside_one_another(model, alone, axes, run, levels or {}, bases)
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.
         found = set(decide(together(axes), SETTINGS.coverage)[1])
