@@ -203,6 +203,16 @@ def test_of_two_that_explain_alike_the_one_whose_values_are_near_what_is_stated_
     assert found["a.x"] / found["b.x"] == pytest.approx(np.exp(4.5), rel=0.05)
 
 
+def test_what_fits_is_no_unknown_though_it_predicts_a_motion_that_is_made_once_badly() -> None:
+    unit = smooth_noise(SAMPLES, 0)
+    base, right, other = (hypothesis(e, np.sqrt(c) * unit) for e, c in (((), 50.0), (("a.x",), 1.0), (("b.x",), 1.0)))
+    folds, runs = np.arange(SAMPLES) * FOLDS // SAMPLES, np.zeros(SAMPLES, dtype=np.int64)
+    badly = [replace(right, left_out=2.0 * unit), replace(other, left_out=3.0 * unit)]
+    found = rank(base, badly, folds, runs, 10)
+    assert found.unknown < 0.05
+    assert found.marginals["a.x"] > 0.9  # which predicts it less badly
+
+
 def test_an_effect_more_that_explains_next_to_nothing_is_not_named() -> None:
     found = probabilities({(): 50.0, ("a.x",): 1.2, ("a.x", "b.x"): 1.0}, tried=1)
     assert found["a.x"] > 0.9

@@ -180,9 +180,12 @@ def rank(
     weights = _draws(len(np.unique(folds)))
     costs = _costs(residuals, folds, weights) / unit  # (draws, hypotheses)
     parts = np.zeros(len(folds), dtype=np.int64) if signals is None else signals
-    worst = _of_worst_signal(residuals, folds, weights, parts) / unit
+    # Whether anything is left is a matter of the fit, what explains it of what it predicts: a motion that is made once
+    # the right effect predicts badly, too.
+    fitted = [h.refit.residuals for h in everything]
+    worst = _of_worst_signal(fitted, folds, weights, parts) / unit
     # That something is missing is a fact of the recording; what explains it is drawn anew.
-    worst[:, 0] = _of_worst_signal(residuals[:1], folds, np.ones((1, weights.shape[1])), parts)[0, 0] / unit
+    worst[:, 0] = _of_worst_signal(fitted[:1], folds, np.ones((1, weights.shape[1])), parts)[0, 0] / unit
     worth = independent(best.left_out, blocks)
     first = 1 + len(hypotheses)
     lowest_curve = worst[:, first:].min(axis=1) if curves else np.full(len(costs), np.inf)
