@@ -524,8 +524,11 @@ def judged_axis(name: str, cost: float, lacking: str = "") -> Any:
     lib = library(load_model("two_link_arm"), (), only=["constant_torque", "coulomb_friction"])
     effects = (f"{lacking}.{name}",) if lacking else ()
     refit = SimpleNamespace(effects=effects, values=np.full(len(lib.names), 0.1))
-    return SimpleNamespace(part=SimpleNamespace(axis=name), search=SimpleNamespace(library=lib), best=refit,
-                           base=SimpleNamespace(cost=cost), acting=lambda named: refit)  # fmt: skip
+    search = SimpleNamespace(library=lib, evaluations=10)
+    base = SimpleNamespace(cost=cost)
+    return SimpleNamespace(
+        part=SimpleNamespace(axis=name), search=search, best=refit, base=base, acting=lambda named: refit
+    )
 
 
 @pytest.mark.parametrize("rig", ["two_link_arm", "labyrinth"])
@@ -547,3 +550,4 @@ def test_axes_that_shake_one_another_are_judged_beside_what_the_others_lack(
     else:
         assert asked == [("elbow", ["constant_torque.shoulder"])]
         assert [axis.best.effects for axis in found] == [("constant_torque.shoulder",), ()]
+        assert [axis.search.evaluations for axis in found] == [10, 20]

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from labyrinth_sim.model import Model
-from labyrinth_sim.rig import BALL_SIGNALS, Axis, Measured
+from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.site import Site, ball_site
 from labyrinth_sim.trials import Array
 
@@ -26,7 +26,7 @@ def first_state(
     for axis in model.rig.axes:
         for quantity, array, address in (("position", qpos, "qposadr"), ("velocity", qvel, "dofadr")):
             known: dict[str, Array] = {}
-            for m in finest_first(axis):
+            for m in axis.finest_first:
                 if m.quantity == quantity and m.signal in given:
                     coarser = np.broadcast_to(np.asarray(given[m.signal], float), (nsim,))
                     finer = known.get(m.joint, coarser)
@@ -42,11 +42,6 @@ def first_state(
     if with_ball and model.rig.ball:
         place_ball(ball_site(model.rig, mj), mj, qpos, given)
     return qpos, qvel
-
-
-def finest_first(axis: Axis) -> list[Measured]:
-    """What is measured of an axis, what is read in the finest ticks first."""
-    return sorted(axis.measured, key=lambda m: m.resolution)
 
 
 def _ratio(mj: mujoco.MjModel, belt: str) -> float:

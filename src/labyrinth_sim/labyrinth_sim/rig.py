@@ -111,6 +111,11 @@ class Axis:
         """The joint that carries the load."""
         return self.load_joint or self.joint
 
+    @property
+    def finest_first(self) -> tuple[Measured, ...]:
+        """What is measured, what is read in the finest ticks first."""
+        return tuple(sorted(self.measured, key=lambda m: m.resolution))
+
 
 @dataclass(frozen=True)
 class Ball:

@@ -15,6 +15,15 @@ from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
 
+def position_servo(spec: mujoco.MjSpec, site: Site) -> None:
+    """Makes the axis's actuator a servo on angle and speed, with a torque-speed line, limited torque and current."""
+    servo = spec.actuator(site.the_axis.actuator)
+    servo.set_to_position(kp=1.0, kv=1.0)
+    limit_torque(servo)
+    add_back_emf(spec, site)
+    limit_current(spec, site)
+
+
 def limit_torque(servo: mujoco.MjsActuator) -> None:
     """Lets an actuator take any target and limits its torque; `set_torque` tells to what."""
     servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE

@@ -60,7 +60,9 @@ def beside_one_another(
         if lacking and found[i].search.library.candidates:
             beside = with_refits(model, others, lacking)
             known = Bases({own: bases.values[own]}) if own in bases.values else Bases()
-            found[i] = diagnose_axis(beside, plays, found[i].part, run, levels.get(own, 0.0), known)
+            again = diagnose_axis(beside, plays, found[i].part, run, levels.get(own, 0.0), known)
+            again.search.evaluations += found[i].search.evaluations
+            found[i] = again
     return found
 
 

@@ -11,7 +11,6 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.build import axes_couple
-from labyrinth_sim.first_state import finest_first
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
@@ -136,7 +135,7 @@ def sensed_joints(search: Search) -> list[list[str]]:
     """For each joint whose position is compared its signals, the finest first."""
     found: dict[str, list[str]] = {}
     for axis in search.library.model.rig.axes:
-        for m in finest_first(axis):
+        for m in axis.finest_first:
             if m.quantity == "position" and m.signal in search.evidence.signals:
                 found.setdefault(m.joint, []).append(m.signal)
     return list(found.values())

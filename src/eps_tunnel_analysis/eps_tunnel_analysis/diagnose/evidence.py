@@ -103,24 +103,32 @@ class Evidence:
         self.time = np.concatenate([n.time for n in noise])
         self.blocks = np.repeat(np.arange(len(noise)), [len(n.time) for n in noise])
 
-    def like(self, step: float, model: Model | None = None) -> "Evidence":
-        """The same with other steps, in s, and of another model where one is given; it starts in the same poses."""
-        other = Evidence(model or self.model, self.free, self.plays, self.signals, step, self.nthread, self.spread)
+    def finer(self) -> "Evidence":
+        """The same with steps half as long."""
+        step = min(self._steps) / 2.0
+        other = Evidence(self.model, self.free, self.plays, self.signals, step, self.nthread, self.spread)
         other.initial = self.initial
         return other
 
-    def finer(self) -> "Evidence":
-        """The same with steps half as long."""
-        return self.like(min(self._steps) / 2.0)
+    def of(self, model: Model) -> "Evidence":
+        """The same of another model of the rig."""
+        other = self._again()
+        other.model, other.known = model, known_values(model, [p.play for p in self.plays])
+        return other
 
     def started(self, shifts: Sequence[Mapping[str, float]]) -> "Evidence":
         """The same, each play beginning with these signals elsewhere by so much, in their units."""
-        other = copy(self)
-        other.__dict__.pop("_residuals", None)
+        other = self._again()
         other.initial = [
             {name: value + shift.get(name, 0.0) for name, value in pose.items()}
             for pose, shift in zip(self.initial, shifts, strict=True)
         ]
+        return other
+
+    def _again(self) -> "Evidence":
+        """A copy to be changed, which shares what was read of the plays."""
+        other = copy(self)
+        other.__dict__.pop("_residuals", None)  # a spread one has been sent elsewhere as it was
         return other
 
     def start_noise(self, play: int, signal: str) -> float:

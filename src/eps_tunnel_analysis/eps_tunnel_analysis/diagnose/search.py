@@ -178,7 +178,7 @@ class Search:
         exact, smooth = self.levels["exact"], self.levels["fine"].model
         if smooth.values() == exact.model.values():
             return
-        without = exact.like(exact.step(0), smooth)
+        without = exact.of(smooth)
         moved = np.nan_to_num((exact(values[None]) - without(values[None]))[0, self.used])
         self.evaluations += 2
         each = np.bincount(self.blocks, moved**2) / np.maximum(np.bincount(self.blocks), 1)

@@ -7,30 +7,18 @@ limit does not touch, and the limit on the current that of the joint's actuator 
 
 from collections.abc import Mapping
 
-import mujoco
-
 from labyrinth_sim.effect import Drive, Parameter, Values
 from labyrinth_sim.live import Fields
 from labyrinth_sim.servo import (
     FEEDBACK_TICK,
     GOAL_TICK,
-    add_back_emf,
-    limit_current,
-    limit_torque,
+    position_servo,
     set_back_emf,
     set_current,
     set_torque,
     target,
 )
 from labyrinth_sim.site import Site
-
-
-def spec(spec: mujoco.MjSpec, site: Site) -> None:
-    servo = spec.actuator(site.the_axis.actuator)
-    servo.set_to_position(kp=1.0, kv=1.0)
-    limit_torque(servo)
-    add_back_emf(spec, site)
-    limit_current(spec, site)
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
@@ -75,7 +63,7 @@ DRIVE = Drive(
         GOAL_TICK,
         FEEDBACK_TICK,
     ),
-    spec=spec,
+    spec=position_servo,
     fields=fields,
     target=target,
     by_duty=True,
