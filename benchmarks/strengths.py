@@ -23,7 +23,7 @@ def shown(name: str, axis: str, strength: str, seed: int) -> str:
     """One cell of the table."""
     model = draw(seed)[2]
     plays = [play(rig((hide(name, axis, strength),)), find_sequence("excite_12s").commands[0], seed)]
-    part = next(p for p in axis_parts(model, plays) if p.axis == axis[-1])
+    part = next(p for p in axis_parts(model, plays) if p.name == axis[-1])
     base = base_refit(axis_search(model, plays, part, SearchOptions(only=(), nthread=1)))
     positions = [s for s in part.signals if not s.endswith("effort")]
     odd = any(r.sentence for r in repeats(plays[0].trials, positions))

@@ -15,8 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_recordings import write_rig
 
-from eps_tunnel_analysis.diagnose import axes as axes_module
 from eps_tunnel_analysis.diagnose import rank as rank_module
+from eps_tunnel_analysis.diagnose.axes import axis_verdict
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, joined
 from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.candidates import library, starts
 from eps_tunnel_analysis.diagnose.experiment import Experiment, Harsh, chosen, harshness, left_after_fit
@@ -25,6 +27,8 @@ from eps_tunnel_analysis.diagnose.rank import (
     NONE,
     UNKNOWN,
     Hypothesis,
+    Ranked,
+    Ranking,
     independent,
     joint,
     left_out,
@@ -361,8 +365,9 @@ def test_the_unit_of_a_value_does_not_matter_where_stretches_are_left_out(by: fl
 
 def test_an_axis_is_searched_among_the_others_with_their_refitted_values() -> None:
     model = load_model("labyrinth_manual")
-    bases = Bases({"x": {"drive.x.p": 11.0, "drive.x.delay": 0.011}, "y": {"drive.y.p": 12.0}})
-    own, among = model.values(), bases.among(model, "x").values()
+    bases = Bases({"drive.x.p": 11.0, "drive.x.delay": 0.011, "drive.y.p": 12.0})
+    x, y = (AxisPart((axis,), (f"motor_{axis}",), (f"drive.{axis}.p", f"drive.{axis}.delay")) for axis in "xy")
+    own, among = model.values(), bases.among(model, x).values()
     assert {name for name in own if among[name] != own[name]} == {"drive.y.p"}
     assert among["drive.y.p"] == 12.0
 
@@ -519,35 +524,49 @@ def test_how_harsh_a_motion_is_does_not_hang_on_how_often_it_was_sampled() -> No
 # ---- several axes
 
 
-def judged_axis(name: str, cost: float, lacking: str = "") -> Any:
-    """What one axis of the arm was found to lack, its base leaving so many floors."""
+def part_of(axis: str, rough: str) -> AxisPart:
+    return AxisPart((axis,), (axis,), (f"drive.{axis}.p", rough), 1)
+
+
+def test_axes_that_shake_one_another_are_judged_together() -> None:
+    parts = [part_of("shoulder", "body.upper_arm.mass"), part_of("elbow", "body.forearm.mass")]
+    (both,) = joined(load_model("two_link_arm"), parts)
+    assert both.axes == ("shoulder", "elbow")
+    assert both.signals == ("shoulder", "elbow")
+    assert both.base == ("drive.shoulder.p", "drive.elbow.p", "body.upper_arm.mass", "body.forearm.mass")
+    assert both.rough == 2
+    assert both.title == "axes shoulder and elbow"
+
+
+def test_axes_that_do_not_feel_one_another_are_judged_apart_unless_an_effect_couples_them() -> None:
+    model = load_model("labyrinth")
+    parts = [AxisPart((axis,), (f"motor_{axis}",), (f"drive.{axis}.p",)) for axis in "xy"]
+    assert joined(model, parts) == parts
+    effect = model.registry.effect("cross_coupling")
+    (both,) = joined(model.with_effect(effect, "x", effect.off), parts)
+    assert both.axes == ("x", "y")
+    assert joined(model, parts[:1]) == parts[:1]
+
+
+def test_what_is_found_together_is_told_axis_by_axis() -> None:
     lib = library(load_model("two_link_arm"), (), only=["constant_torque", "coulomb_friction"])
-    effects = (f"{lacking}.{name}",) if lacking else ()
-    refit = SimpleNamespace(effects=effects, values=np.full(len(lib.names), 0.1))
-    search = SimpleNamespace(library=lib, evaluations=10)
-    base = SimpleNamespace(cost=cost)
-    return SimpleNamespace(
-        part=SimpleNamespace(axis=name), search=search, best=refit, base=base, acting=lambda named: refit
+    hidden = ("constant_torque.shoulder", "coulomb_friction.elbow")
+    sets: list[tuple[str, ...]] = [hidden, hidden[:1], ()]
+    ranked = tuple(
+        Ranked(effects, p, 1.0, 1.0, 0.8, (0.7, 0.9)) for effects, p in zip(sets, (0.7, 0.2, 0.06), strict=True)
     )
-
-
-@pytest.mark.parametrize("rig", ["two_link_arm", "labyrinth"])
-def test_axes_that_shake_one_another_are_judged_beside_what_the_others_lack(
-    rig: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-
-    def judged(model: Any, plays: Any, part: Any, *options: Any) -> Any:
-        asked.append((part.axis, [f"{use.effect.name}.{use.place}" for use in model.effects]))
-        return judged_axis(part.axis, 1.0)  # now that the other is right, this one is healthy
-
-    monkeypatch.setattr(axes_module, "diagnose_axis", judged)
-    axes = [judged_axis("shoulder", 30.0, "constant_torque"), judged_axis("elbow", 4.0, "coulomb_friction")]
-    found = axes_module.beside_one_another(load_model(rig), [], axes, Any, {}, Bases())
-    if rig == "labyrinth":  # whose axes' inertia is not felt by one another
-        assert found == axes
-        assert asked == []
-    else:
-        assert asked == [("elbow", ["constant_torque.shoulder"])]
-        assert [axis.best.effects for axis in found] == [("constant_torque.shoulder",), ()]
-        assert [axis.search.evaluations for axis in found] == [10, 20]
+    signals = ("shoulder", "elbow")
+    search: Any = SimpleNamespace(library=lib, signal=np.array([0, 0, 1, 1]))
+    base = Refit((), np.zeros(0), np.array([3.0, 3.0, 2.0, 2.0]), 6.5, 0, True)
+    after = Refit(hidden, np.zeros(0), np.array([1.0, 1.0, 0.5, 0.5]), 0.625, 2, True)
+    ranking = Ranking(ranked, 0.04)
+    part = AxisPart(("shoulder", "elbow"), signals, ())
+    found = AxisDiagnosis(part, search, base, (after,), (), ranking, ranking)
+    shoulder, elbow = (axis_verdict(found, name, hidden) for name in part.axes)
+    assert shoulder.marginals == {hidden[0]: pytest.approx(0.9)}
+    assert elbow.marginals == {hidden[1]: pytest.approx(0.7)}
+    assert (shoulder.none, elbow.none) == (pytest.approx(0.06), pytest.approx(0.26))
+    assert shoulder.unknown == elbow.unknown == 0.04
+    assert (shoulder.floors, elbow.floors) == ((9.0, 1.0), (4.0, 0.25))
+    assert elbow.remaining == {"elbow": 0.25}
+    assert found.worst("elbow") == 4.0

@@ -63,7 +63,7 @@ def test_free_curves_are_candidates_only_when_asked_for(model: Model) -> None:
     assert set(spans) >= {"curve_angle", "curve_other"}
     assert spans["curve_angle"]["half"] == pytest.approx(0.06, rel=0.1)
     lib = with_curves(Library(model, (), ()), {("curve_angle", "x"): spans["curve_angle"]})
-    search = search_of(lib, [play], AxisPart("x", SIGNALS, ()), SearchOptions())
+    search = search_of(lib, [play], AxisPart(("x",), SIGNALS, ()), SearchOptions())
     curve = lib.find("curve_angle.x")
     assert set(lib.names) == {f"curve_angle.x.k{i + 1}" for i in range(10)}
     refit = search.refit([((curve,), search.start)], 4)[0]

@@ -26,7 +26,7 @@ from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Trials
 
 SIZE, PERIOD, PHASE = 0.03, 0.35, 0.5  # N m, rad, rad: of the waves that are hidden
-PART = AxisPart("pendulum", ("pendulum",), ())
+PART = AxisPart(("pendulum",), ("pendulum",), ())
 SECONDS = 4.0
 
 

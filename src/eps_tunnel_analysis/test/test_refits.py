@@ -81,7 +81,7 @@ def test_stretches_of_time_are_the_same_for_all_signals_of_a_play(recorded: list
 
 
 def part_search(model: Model, recorded: list[Play]) -> Search:
-    part = next(p for p in axis_parts(model, recorded) if p.axis == "x")
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
     return axis_search(model, recorded, part, SearchOptions((), 1))
 
 
@@ -133,7 +133,7 @@ def test_a_value_that_is_stated_is_left_only_for_a_reason(recorded: list[Play]) 
 @pytest.fixture
 def search(recorded: list[Play]) -> Search:
     model = start().with_values(TRUTH)
-    part = next(p for p in axis_parts(model, recorded) if p.axis == "x")
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
     return axis_search(model, recorded, part, SearchOptions(FRICTIONS, 1))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from labyrinth_sim.asset import compile_spec, read_spec
 from labyrinth_sim.effect import Drive, Effect, Values
@@ -78,21 +79,28 @@ def compiled(model: Model, with_ball: bool, timestep: float | None = None) -> Pl
     )
 
 
-def axes_couple(model: Model) -> bool:
-    """Whether the inertia of one axis's joints is felt by another's, as in an arm, beyond a thousandth."""
+def coupled_axes(model: Model) -> list[tuple[str, ...]]:
+    """The axes, together those that feel the inertia of one another beyond a thousandth, as in an arm."""
     plan = compiled(model, with_ball=False)
     mj, data = plan.mj, mujoco.MjData(plan.mj)
     own = [{site.dof, site.load_dof} for _, _, site in plan.drives]
     whole = np.zeros((mj.nv, mj.nv))
+    felt = np.zeros((len(own), len(own)), dtype=bool)
     for angle in (0.0, 0.3, 1.0):
         data.qpos[:] = mj.qpos0 + angle if mj.nq == mj.nv else mj.qpos0
         mujoco.mj_forward(mj, data)
         mujoco.mj_fullM(mj, data, whole)
         scale = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
         share = np.abs(whole) / np.maximum(scale, 1e-300)
-        if any(share[i, j] > 1e-3 for a in own for b in own if a is not b for i in a for j in b):
-            return True
-    return False
+        felt |= [[any(share[i, j] > 1e-3 for i in a for j in b) for b in own] for a in own]
+    _, groups = connected_components(felt, directed=False)
+    return [tuple(a.name for a, g in zip(model.rig.axes, groups, strict=True) if g == number)
+            for number in range(max(groups, default=-1) + 1)]  # fmt: skip
+
+
+def axes_couple(model: Model) -> bool:
+    """Whether any axis feels the inertia of another one."""
+    return any(len(group) > 1 for group in coupled_axes(model))
 
 
 def build_spec(model: Model) -> tuple[mujoco.MjSpec, Plan]:

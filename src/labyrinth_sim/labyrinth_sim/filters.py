@@ -60,27 +60,32 @@ class Lag:
 
     def __init__(self, time_constant: Array, step: float) -> None:
         self._none = time_constant <= 0
-        self._steps = np.maximum(time_constant, 1e-12) / step
-        self._keep = np.exp(-1.0 / self._steps)
-        self._last: tuple[Array, Array, Array] | None = None
+        self._steps = (np.maximum(time_constant, 1e-12) / step)[:, None]
+        self._keep = np.where(self._none, 0.0, np.exp(-1.0 / self._steps[:, 0]))
+        self._past = np.full((len(time_constant), 2), np.nan)
+        self._last = np.zeros(len(time_constant))
 
     def __call__(self, own: Array, every: Array) -> Array:
-        out = np.empty_like(own)
+        stream = np.concatenate([self._past, own], axis=1)
+        first, before, now = stream[:, :-2], stream[:, 1:-1], stream[:, 2:]
         a = self._steps
-        none = np.full(len(own), np.nan)
-        first, before, last = (none, none, none) if self._last is None else self._last
-        for k in range(own.shape[1]):
-            now = own[:, k]
-            rise = now - before
-            bend = np.nan_to_num(rise - (before - first))
-            # u - a u' + a^2 u'' solves the equation for a parabola; what differs from it dies away.
-            here = now - a * (rise + 0.5 * bend) + a**2 * bend
-            there = before - a * (rise - 0.5 * bend) + a**2 * bend
-            moved = here + self._keep * (last - there)
-            last = np.where(self._none | np.isnan(moved), now, moved)
-            out[:, k], first, before = last, before, now
-        self._last = first.copy(), before.copy(), last  # the caller may fill `own` anew
-        return out
+        rise = now - before
+        bend = np.nan_to_num(rise - (before - first))
+        # u - a u' + a^2 u'' solves the equation for a parabola; what differs from it dies away.
+        here = now - a * (rise + 0.5 * bend) + a**2 * bend
+        there = before - a * (rise - 0.5 * bend) + a**2 * bend
+        put = np.where(self._none[:, None], now, here - self._keep[:, None] * there).T.copy()
+        restarts, keep, last = np.isnan(put).any(axis=1), self._keep, self._last
+        out = np.empty_like(put)
+        for k, restart in enumerate(restarts):
+            last = put[k] + keep * last
+            if restart:
+                out[k] = np.where(np.isnan(last), now[:, k], last)
+                last = np.nan_to_num(out[k])
+            else:
+                out[k] = last
+        self._past, self._last = stream[:, -2:].copy(), last  # the caller may fill `own` anew
+        return out.T
 
 
 class RateLimit:

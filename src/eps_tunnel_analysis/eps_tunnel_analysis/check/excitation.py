@@ -158,8 +158,8 @@ def _values(
             answer = "weak" if same and answer == "identifiable" else answer
             alike = [base[own[j]] for j in others if abs(correlation[k, j]) > ALIKE or base[own[j]] in same]
             alike = alike if answer != "identifiable" else []
-            mend = "" if answer == "identifiable" else livelier(part.axis, model, plays)
-            found.append(Excited(info.name, part.axis, "value", answer, half, info.unit, tuple(alike), mend))
+            mend = "" if answer == "identifiable" else livelier(part.name, model, plays)
+            found.append(Excited(info.name, part.name, "value", answer, half, info.unit, tuple(alike), mend))
     return found
 
 
@@ -201,7 +201,7 @@ def _effects(
         strengths = strengths - (strengths @ kept) @ kept.T
     power = np.sum(strengths**2, axis=1)
     for part in parts:
-        own = [i for i, c in enumerate(candidates) if c.axes == (part.axis,)]
+        own = [i for i, c in enumerate(candidates) if c.axes == (part.name,)]
         columns = [s for s, name in enumerate(evidence.signals) if name in part.signals]
         count = sum(len(play.noise[s].time) for play in evidence.plays for s in columns)
         for i in own:
@@ -218,5 +218,5 @@ def _effects(
             )
             answer: Answer = "no" if not visible else "weak" if confounded or seen < VISIBLE else "identifiable"
             mend = "" if answer == "identifiable" else candidates[i].effect.separated_by
-            found.append(Excited(candidates[i].name, part.axis, "effect", answer, seen, "floors", confounded, mend))
+            found.append(Excited(candidates[i].name, part.name, "effect", answer, seen, "floors", confounded, mend))
     return found

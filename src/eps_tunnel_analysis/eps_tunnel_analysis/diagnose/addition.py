@@ -127,7 +127,7 @@ def addition_of(
         raise InputError([f"{n}: nothing was measured there that a recorded command moves." for n in missing])
     v, chosen = diagnosis.verdict, set(names)
     axes = [_with_set(axis, chosen) for axis in diagnosis.axes]
-    on_axes = [axis for axis in axes if axis.part.axis != BALL]
+    on_axes = [axis for axis in axes if axis.part.axes != (BALL,)]
     rolls = bool(v.ball and chosen) and not any(axis.own(chosen) for axis in on_axes)
     unit = "m" if rolls else diagnosis.model.rig.position_unit
     if chosen == set(v.effects):

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all axes lack together: its probabilities, the models that have it, and what is said of each axis."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, diagnose_axis
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
-from eps_tunnel_analysis.diagnose.base_values import Bases, dynamics_couple
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 
 
@@ -37,35 +34,6 @@ def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[s
     return model
 
 
-def beside_one_another(
-    model: Model,
-    plays: Sequence[Play],
-    axes: Sequence[AxisDiagnosis],
-    run: SearchOptions,
-    levels: Mapping[str, float],
-    bases: Bases,
-) -> list[AxisDiagnosis]:
-    """The axes, each one judged again beside what the others were found to lack, where they shake one another.
-
-    What another axis lacks moves it otherwise, and that looks as if this one lacked something, too. Those that leave
-    least come first, for they are likely to be healthy. `levels` and `bases` as for one axis.
-    """
-    found = list(axes)
-    if len(found) < 2 or not dynamics_couple(model):
-        return found
-    for i in sorted(range(len(found)), key=lambda i: (found[i].base.cost, i)):
-        others = [axis for axis in found if axis is not found[i]]
-        lacking = {name for axis in others for name in axis.best.effects}
-        own = found[i].part.axis
-        if lacking and found[i].search.library.candidates:
-            beside = with_refits(model, others, lacking)
-            known = Bases({own: bases.values[own]}) if own in bases.values else Bases()
-            again = diagnose_axis(beside, plays, found[i].part, run, levels.get(own, 0.0), known)
-            again.search.evaluations += found[i].search.evaluations
-            found[i] = again
-    return found
-
-
 def fitted_names(axes: Sequence[AxisDiagnosis], named: Collection[str]) -> set[str]:
     """Full names of the values that were fitted: of the axes' bases and of these effects."""
     names: set[str] = set()
@@ -81,17 +49,23 @@ def left_out_error(axes: Sequence[AxisDiagnosis], named: Collection[str]) -> flo
     return float(np.mean([axis.held_out_error([c.name for c in axis.own(named)]) for axis in axes]))
 
 
-def axis_verdict(axis: AxisDiagnosis, named: Collection[str]) -> AxisVerdict:
-    """What is said of one axis by itself, with these effects named."""
-    after = axis.acting(named)
-    probabilities = axis.ranking.probabilities
+def axis_verdict(axis: AxisDiagnosis, name: str, named: Collection[str]) -> AxisVerdict:
+    """What is said of one axis by itself, with these effects named.
+
+    Args:
+        name: of the axis, one of those that were judged together.
+    """
+    ranking, after = axis.ranking, axis.acting(named)
+    own = {c.name for c in axis.search.library.candidates if axis.part.axes == (name,) or name in c.axes}
+    here = [r for r in ranking.ranked if own & set(r.effects)]
     return AxisVerdict(
-        marginals=axis.ranking.marginals,
-        none=probabilities[NONE],
-        unknown=probabilities[UNKNOWN],
-        explained={r.name: (r.explained, *r.explained_interval) for r in axis.ranking.ranked if r.effects},
-        remaining=axis.remaining(after),
-        floors=(axis.base.cost, after.cost),
-        not_converged=tuple(" + ".join(r.effects) for r in axis.refits if r.effects and not r.converged),
-        ranking=axis.ranking.ranked,
-    )
+        marginals={effect: p for effect, p in ranking.marginals.items() if effect in own},
+        none=sum(r.probability for r in ranking.ranked if not own & set(r.effects)),
+        unknown=ranking.unknown,
+        explained={r.name: (r.explained, *r.explained_interval) for r in here},
+        remaining={s: left for s, left in axis.remaining(after).items() if s in axis.signals_of(name)},
+        floors=(axis.floors(axis.base, name), axis.floors(after, name)),
+        not_converged=tuple(" + ".join(r.effects) for r in axis.refits
+                            if own & set(r.effects) and not r.converged),
+        ranking=tuple(r for r in ranking.ranked if r in here or not r.effects),
+    )  # fmt: skip

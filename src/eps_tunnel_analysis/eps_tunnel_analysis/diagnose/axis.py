@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
-from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_from, base_refit, base_starts
+from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
@@ -175,7 +175,7 @@ def _place(candidate: Candidate, parameter: str) -> int:
 @shown
 @dataclass(frozen=True)
 class AxisDiagnosis:
-    """What was found on one axis: refits of every set tried, the ranking, and what is left.
+    """What was found on an axis, or on several that shake one another: refits, their ranking, what is left.
 
     Attributes:
         base: the base values alone.
@@ -219,6 +219,24 @@ class AxisDiagnosis:
         here = np.isin(self.search.signal, angles)
         return float(np.mean(np.abs(own.left_out[here] * self.search.scale[here])))
 
+    def signals_of(self, name: str) -> tuple[str, ...]:
+        """The compared signals of one of the axes."""
+        rig = self.search.library.model.rig
+        own = {m.signal for axis in rig.axes if axis.name == name for m in axis.measured}
+        return self.part.signals if self.part.axes == (name,) else tuple(s for s in self.part.signals if s in own)
+
+    def floors(self, refit: Refit, name: str) -> float:
+        """Floors that a refit leaves of one of the axes."""
+        return float(np.mean(refit.residuals[self._of(name)] ** 2))
+
+    def worst(self, name: str) -> float:
+        """Floors that the base leaves of the worst signal of one of the axes."""
+        own = self._of(name)
+        return worst_floors(self.base.residuals[own], self.search.signal[own])
+
+    def _of(self, name: str) -> NDArray[np.bool_]:
+        return np.isin(self.search.signal, [self.part.signals.index(s) for s in self.signals_of(name)])
+
     def remaining(self, refit: Refit) -> dict[str, float]:
         """Signal -> floors that a refit leaves of it."""
         search = self.search
@@ -237,15 +255,15 @@ def diagnose_axis(
     level: float = 0.0,
     bases: Bases | None = None,
 ) -> AxisDiagnosis:
-    """Names what one axis lacks.
+    """Names what one part lacks.
 
     Args:
         level: floors that the base left before effects were added in earlier steps.
         bases: of all axes, where there are several.
     """
     bases = bases or Bases()
-    search = axis_search(bases.among(model, part.axis), plays, part, run)
-    base = base_refit(search, bases.values.get(part.axis))
+    search = axis_search(bases.among(model, part), plays, part, run)
+    base = base_refit(search, bases.known(part))
     floor = floor_known(plays)
     base, refits = refitted_sets(search, base, level=level, floor=floor)
     return _judged(plays, part, search, base, refits, model, level, floor)
@@ -369,9 +387,4 @@ def _positions(model: Model, part: AxisPart) -> list[str]:
 
 def _better_base(search: Search, base: Refit, refits: Sequence[Refit]) -> Refit:
     """The base from the best refits' base values, if that is lower: an effect must not be named for a better start."""
-    starts = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
-    again = base_from(search, starts) if starts and search.library.base else base
-    if again.cost < base.cost:
-        return again
-    search.settle_at(base)
-    return base
+    return better_base(search, base, [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]])

@@ -17,7 +17,7 @@ from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, full_name
 from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import setpoints
-from labyrinth_sim.build import axes_couple, compiled
+from labyrinth_sim.build import axes_couple, compiled, coupled_axes
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Axis
@@ -54,19 +54,29 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class AxisPart:
-    """What belongs to one axis.
+    """What is judged at once: an axis, several that shake one another, or the ball.
 
     Attributes:
-        axis: its short name.
+        axes: their short names.
         signals: compared; positions first, then efforts.
         base: full names of the values refitted with every candidate.
         rough: how many of them, the last ones, are known roughly: they are moved only once the others fit.
     """
 
-    axis: str
+    axes: tuple[str, ...]
     signals: tuple[str, ...]
     base: tuple[str, ...]
     rough: int = 0
+
+    @property
+    def name(self) -> str:
+        """That of the axis; of several, all."""
+        return " and ".join(self.axes)
+
+    @property
+    def title(self) -> str:
+        """In words."""
+        return part_name(self.name) if len(self.axes) == 1 else f"axes {self.name}"
 
 
 def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
@@ -84,7 +94,7 @@ def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
         if any(m.quantity == "position" for m in seen):
             own = tuple(base.get(axis.name, ()))
             rough = tuple(n for n in rough_values(model, axis) if n not in known and n not in own)
-            parts.append(AxisPart(axis.name, tuple(chosen), own + rough, len(rough)))
+            parts.append(AxisPart((axis.name,), tuple(chosen), own + rough, len(rough)))
     return parts
 
 
@@ -104,7 +114,7 @@ def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
 
 
 def moved_parts(model: Model, parts: Sequence[AxisPart], plays: Sequence[Play]) -> list[AxisPart]:
-    """The axes that a recorded command moves. Raises InputError where there is none."""
+    """Those that a recorded command moves. Raises InputError where there is none."""
     moved = [p for p in parts if _is_moved(model, p, plays)]
     if not moved:
         raise InputError(
@@ -115,8 +125,9 @@ def moved_parts(model: Model, parts: Sequence[AxisPart], plays: Sequence[Play]) 
 
 
 def _is_moved(model: Model, part: AxisPart, plays: Sequence[Play]) -> bool:
-    channel = next(axis.command for axis in model.rig.axes if axis.name == part.axis)
-    spans = [np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in (_commands(p, channel) for p in plays)]
+    channels = [axis.command for axis in model.rig.axes if axis.name in part.axes]
+    commands = [_commands(p, channel) for p in plays for channel in channels]
+    spans = [np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in commands]
     return max(spans) > MOVES
 
 
@@ -124,9 +135,27 @@ def _commands(play: Play, channel: str) -> Array:
     return np.asarray(play.trials.commands[:, :, play.trials.command_channels.index(channel)])
 
 
+def joined(model: Model, parts: Sequence[AxisPart]) -> list[AxisPart]:
+    """The parts, those whose axes shake one another as one: by inertia, or by an effect that the model has.
+
+    Judged apart, what one axis lacks would look as if another one lacked something, too.
+    """
+    couples = any(use.effect.couples for use in model.effects)
+    groups = [tuple(a.name for a in model.rig.axes)] if couples else coupled_axes(model)
+    found = []
+    for group in groups:
+        own = [p for p in parts if set(p.axes) & set(group)]
+        free = [n for p in own for n in p.base[: len(p.base) - p.rough]]
+        rough = [n for p in own for n in p.base[len(p.base) - p.rough :]]
+        if own:
+            signals = tuple(n for p in own for n in p.signals)
+            found.append(AxisPart(tuple(n for p in own for n in p.axes), signals, (*free, *rough), len(rough)))
+    return found
+
+
 def ball_part() -> AxisPart:
     """The ball, judged as an axis is; without base values, for friction refitted would take up a latency."""
-    return AxisPart(BALL, BALL_SIGNALS, ())
+    return AxisPart((BALL,), BALL_SIGNALS, ())
 
 
 def _silent_integral(model: Model, name: str) -> bool:
@@ -135,10 +164,11 @@ def _silent_integral(model: Model, name: str) -> bool:
 
 
 def axis_search(model: Model, plays: Sequence[Play], part: AxisPart, run: SearchOptions) -> Search:
-    """A search over the candidates of one axis."""
-    whole = library(model, part.base, part.axis == BALL, run.only)
-    own = tuple(c for c in whole.candidates if c.axes == (part.axis,))
-    if part.axis == BALL:
+    """A search over the candidates of one part."""
+    ball = part.axes == (BALL,)
+    whole = library(model, part.base, ball, run.only)
+    own = tuple(c for c in whole.candidates if c.axes and set(c.axes) <= set(part.axes))
+    if ball:
         own = tuple(replace(c, axes=()) for c in whole.candidates if on_ball(c.effect))
     for candidate in whole.candidates:
         if candidate.name not in [c.name for c in own]:
@@ -155,14 +185,12 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
     many = (run.nthread, run.spread)
     levels = {k: Evidence(models[k], lib.names, seen, part.signals, step, *many) for k, step in STEPS.items()}
     evidence = levels["coarse"]
-    channel = next((axis.command for axis in lib.model.rig.axes if axis.name == part.axis), "")
-    torques = {m.signal for m in lib.model.rig.measured if m.quantity == "torque"}
-    efforts = [i for i, name in enumerate(part.signals) if name in torques]
+    torques = {m.signal: axis for axis in lib.model.rig.axes for m in axis.measured if m.quantity == "torque"}
     scale, used = evidence.floor.copy(), evidence.time >= BEGUN
-    full = lib.model.values().get(f"drive.{part.axis}.torque", 0.0)
     for number, play in enumerate(seen):
-        calm = _steady(play, channel) if efforts else np.ones(0, dtype=bool)
-        for column in efforts:
+        for column, axis in [(i, torques[name]) for i, name in enumerate(part.signals) if name in torques]:
+            full = lib.model.values().get(f"drive.{axis.name}.torque", 0.0)
+            calm = _steady(play, axis.command)
             here = evidence.blocks == number * len(part.signals) + column
             still = calm[np.minimum((evidence.time[here] / play.width).astype(int), len(calm) - 1)]
             used[here] &= still
@@ -170,10 +198,10 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
             size = float(np.sqrt(np.mean(values[still] ** 2))) if still.any() else 0.0
             least = max(EFFORT_STEP * float(np.abs(values).max(initial=0.0)), LOAD_STEP * full)
             scale[here] = np.sqrt(scale[here] ** 2 + least**2 + (EFFORT_SHARE * size) ** 2)
-    if part.axis == BALL:
+    if part.axes == (BALL,):
         scale = np.hypot(scale, inexactness(evidence.time))
-    count = partial(run.progress, part_name(part.axis)) if run.progress else None
-    difference = BALL_DIFFERENCE if part.axis == BALL else DIFFERENCE
+    count = partial(run.progress, part.title) if run.progress else None
+    difference = BALL_DIFFERENCE if part.axes == (BALL,) else DIFFERENCE
     search = Search(lib, levels, scale, np.flatnonzero(used), count, difference)
     search.see_ticks(search.start)
     return search

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.stats import qmc
 
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
-from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined
+from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
 from eps_tunnel_analysis.simulated import Play
-from labyrinth_sim.build import axes_couple
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
@@ -21,8 +20,6 @@ NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 BASE_ROUNDS = 8  # of each descent
 VALLEY_POINTS = 8  # to either side of the best, along what it determines least
 BASE_FINALISTS = 3  # of the starts, descended to the end
-SWEEPS = 3  # over all axes' base values, at most, and
-SETTLED_BASE = 0.02  # relative change of an axis's cost below which they have settled
 
 
 @dataclass(frozen=True)
@@ -30,43 +27,35 @@ class Bases:
     """Base values of several axes.
 
     Attributes:
-        values: axis -> full name -> value; empty where there is one axis only.
+        values: full name -> value.
         evaluations: roll-outs that it took.
     """
 
-    values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
     evaluations: int = 0
 
-    def among(self, model: Model, axis: str) -> Model:
-        """The model as one axis is searched on it: the other axes with their refitted values."""
-        others = {n: v for other, values in self.values.items() if other != axis for n, v in values.items()}
-        return model.with_values(others, "refitted")
+    def among(self, model: Model, part: AxisPart) -> Model:
+        """The model as one part is searched on it: the other axes with their refitted values."""
+        return model.with_values({n: v for n, v in self.values.items() if n not in part.base}, "refitted")
+
+    def known(self, part: AxisPart) -> dict[str, float] | None:
+        """Those of one part; None where they are not all known."""
+        return {n: self.values[n] for n in part.base} if part.base and set(part.base) <= set(self.values) else None
 
 
 def fitted_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions) -> Bases:
-    """The base values of every axis, each fitted while the others move as they do; again until they have settled.
+    """The base values of every axis, each fitted while the others move as they do; then together what shakes together.
 
-    Whatever couples to a wrong drive of another axis turns along wrongly: effects that couple, and inertia.
+    Whatever couples to a wrong drive of another axis turns along wrongly.
     """
-    bases, costs, evaluations = Bases(), dict[str, float](), 0
-    chosen = [p for p in parts if p.base] if len(parts) > 1 else []
-    for _ in range(SWEEPS):
-        settled = True
-        for part in chosen:
-            search = axis_search(bases.among(model, part.axis), plays, part, replace(run, only=()))
-            refit = base_refit(search, bases.values.get(part.axis))
-            values = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
-            settled &= abs(refit.cost - costs.get(part.axis, np.inf)) <= SETTLED_BASE * refit.cost
-            costs[part.axis], evaluations = refit.cost, evaluations + search.evaluations
-            bases = Bases({**bases.values, part.axis: values}, evaluations)
-        if settled or not dynamics_couple(model):
-            break
+    bases = Bases()
+    chosen = [p for p in parts if p.base]
+    for part in (*chosen, *(group for group in joined(model, chosen) if len(group.axes) > 1)):
+        search = axis_search(bases.among(model, part), plays, part, replace(run, only=()))
+        refit = base_refit(search, bases.known(part))
+        found = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
+        bases = Bases({**bases.values, **found}, bases.evaluations + search.evaluations)
     return bases
-
-
-def dynamics_couple(model: Model) -> bool:
-    """Whether one axis carries another, so that its motion shakes the other's joints."""
-    return axes_couple(model) or any(use.effect.couples for use in model.effects)
 
 
 def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refit:
@@ -75,13 +64,13 @@ def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refi
     Delay and D stand in for one another, and a base that is stuck in the wrong valley makes any effect look good.
 
     Args:
-        known: what such a search found already; then from there instead of from many others.
+        known: what such a search found already; then it goes on from there.
     """
     if known is None:
         return base_from(search, base_starts(search, search.start, BASE_STARTS), first=True)
     again = search.start.copy()
     again[: len(search.library.base)] = [known[name] for name in search.library.base]
-    return base_from(search, [search.start, again], first=True)
+    return base_from(search, [again], first=True)
 
 
 def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
@@ -106,18 +95,17 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
 def base_from(search: Search, points: Sequence[Array], first: bool = False) -> Refit:
     """The base values alone, descended from (K,) values whose effects do not count.
 
+    From several points the best valley is sought first; a single one is taken to lie in it.
+
     Args:
         first: nothing was refitted before; then the noise floor is settled, too.
     """
     size = len(search.library.base)
     starts = [np.concatenate([point[:size], search.start[size:]]) for point in points]
-    early = search.refit([((), point) for point in starts], BASE_ROUNDS, rough=False)
-    best = sorted(early, key=lambda r: r.objective)[:BASE_FINALISTS]
-    finer = search.refit([((), r.values) for r in best], BASE_ROUNDS, "fine", rough=False)
-    away = along_valley(search, min(finer, key=lambda r: r.objective))
-    finer += search.refit([((), point) for point in away], BASE_ROUNDS,
-                          "fine", rough=False)  # fmt: skip
-    finer = sorted(finer, key=lambda r: r.objective)[:BASE_FINALISTS]
+    if len(starts) > 1:
+        finer = best_valleys(search, starts)
+    else:
+        finer = search.refit([((), starts[0])], 0, "fine", rough=False)
     joints = sensed_joints(search)
     if first and joints:
         search.settle_start(finer[0], joints)
@@ -129,6 +117,35 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
     search.settle_at(result)
     return result
+
+
+def best_valleys(search: Search, starts: Sequence[Array]) -> list[Refit]:
+    """The base values alone, from the best of several (K,) values and from far along the best one's valley."""
+    early = search.refit([((), point) for point in starts], BASE_ROUNDS, rough=False)
+    best = sorted(early, key=lambda r: r.objective)[:BASE_FINALISTS]
+    finer = search.refit([((), r.values) for r in best], BASE_ROUNDS, "fine", rough=False)
+    away = along_valley(search, min(finer, key=lambda r: r.objective))
+    finer += search.refit([((), point) for point in away], BASE_ROUNDS, "fine", rough=False)
+    return sorted(finer, key=lambda r: r.objective)[:BASE_FINALISTS]
+
+
+def better_base(search: Search, base: Refit, points: Sequence[Array]) -> Refit:
+    """The base from those of (K,) values that lead elsewhere, if that is lower; the search is settled there."""
+    size = len(search.library.base)
+    starts = [np.concatenate([point[:size], search.start[size:]]) for point in points] if size else []
+    span = (search.high - search.low)[:size]
+    apart = STANDS * max(1.0, base.objective)
+    found = [
+        r.values
+        for r in search.refit([((), start) for start in starts], BASE_ROUNDS, rough=False)
+        if r.objective < base.objective - apart
+        or (r.objective < base.objective + apart and np.any(np.abs(r.values - base.values)[:size] > APART * span))
+    ]
+    again = base_from(search, found) if found else base
+    if again.cost < base.cost:
+        return again
+    search.settle_at(base)
+    return base
 
 
 def sensed_joints(search: Search) -> list[list[str]]:

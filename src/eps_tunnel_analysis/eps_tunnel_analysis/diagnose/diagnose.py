@@ -6,18 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from eps_tunnel_analysis.compare import Comparison
-from eps_tunnel_analysis.diagnose.axes import (
-    axis_verdict,
-    beside_one_another,
-    fitted_names,
-    left_out_error,
-    together,
-    with_refits,
-)
+from eps_tunnel_analysis.diagnose.axes import axis_verdict, fitted_names, left_out_error, together, with_refits
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, ball_part, moved_parts
-from eps_tunnel_analysis.diagnose.ball import BALL, sees_ball, split, without_ball
-from eps_tunnel_analysis.diagnose.base_values import fitted_bases
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, ball_part, joined, moved_parts
+from eps_tunnel_analysis.diagnose.ball import sees_ball, split, without_ball
+from eps_tunnel_analysis.diagnose.base_values import Bases, fitted_bases
 from eps_tunnel_analysis.diagnose.doubts import doubts
 from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors, rig_against_itself
 from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
@@ -92,16 +85,16 @@ def diagnose(
     count = RolloutCount(progress, expected_rollouts([(len(p.base), effects) for p in moved])) if progress else None
     run = SearchOptions(tuple(on_axes) if only is not None else None, nthread, count, spread)
 
-    # Each axis by itself, the others moving as they do.
-    bases = fitted_bases(model, alone, moved, run)
-    axes = [diagnose_axis(model, alone, part, run, (levels or {}).get(part.axis, 0.0), bases) for part in moved]
-    axes = beside_one_another(model, alone, axes, run, levels or {}, bases)
+    # Each axis by itself, the others moving as they do; together what shakes together.
+    bases = fitted_bases(model, alone, moved, run) if len(moved) > 1 else Bases()
+    axes = [diagnose_axis(model, alone, p, run, _level(levels, p), bases) for p in joined(model, moved)]
+    judged = len(axes)
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.
         found = set(decide(together(axes), SETTINGS.coverage)[1])
         tilted = with_refits(model, axes, found)
-        before = (levels or {}).get(BALL, 0.0)
-        axes.append(diagnose_axis(tilted, plays, ball_part(), replace(run, only=tuple(on_ball)), before))
+        own = replace(run, only=tuple(on_ball))
+        axes.append(diagnose_axis(tilted, plays, ball_part(), own, _level(levels, ball_part())))
 
     # What is missing in all, and the models with and without it.
     probabilities = together(axes)
@@ -115,17 +108,17 @@ def diagnose(
     models = (model, base_model, final)
     near = [compared(m, shown) for m in models]
     far = [compared(m, held if rolls else [without_ball(p) for p in held]) for m in models]
-    left_out = (None, *(left_out_error(axes[: len(moved)], names) for names in ((), named)))
+    left_out = (None, *(left_out_error(axes[:judged], names) for names in ((), named)))
     unit = model.rig.position_unit
     errors = [errors_of(c, h, left, unit) for c, h, left in zip(near, far, left_out, strict=True)]
 
     # What to do next.
-    doubted = [d for a in axes[: len(moved)] if kind == "unknown" and a.best.cost > SETTINGS.healthy
-               for d in doubts(bases.among(model, a.part.axis), alone, a, run)]  # fmt: skip
+    doubted = [d for a in axes[:judged] if kind == "unknown" and a.best.cost > SETTINGS.healthy
+               for d in doubts(bases.among(model, a.part), alone, a, run)]  # fmt: skip
     experiment = None
     if experiments and kind == "undecided":
-        experiment = next_experiment(axes[: len(moved)], base_model, stated, floor_known(plays))
-    said = {a.part.axis: axis_verdict(a, named) for a in axes}
+        experiment = next_experiment(axes[:judged], base_model, stated, floor_known(plays))
+    said = {name: axis_verdict(a, name, named) for a in axes for name in a.part.axes}
     verdict = Verdict(
         verdict=kind,
         effects=named,
@@ -146,6 +139,11 @@ def diagnose(
         evaluations=bases.evaluations + sum(axis.search.evaluations for axis in axes),
         seconds=time.monotonic() - started,
         next_experiment=experiment.name if experiment else None,
-        notes=(*(d.sentence for d in doubted), *notes_of(model, parts, moved, plays, axes[: len(moved)])),
+        notes=(*(d.sentence for d in doubted), *notes_of(model, parts, moved, plays, axes[:judged])),
     )
     return Diagnosis(verdict, tuple(axes), base_model, final, near[0][0], near[1][0], near[2][0], experiment)
+
+
+def _level(levels: Mapping[str, float] | None, part: AxisPart) -> float:
+    """Floors that its axes left before effects were added."""
+    return sum((levels or {}).get(name, 0.0) for name in part.axes) / len(part.axes)

@@ -62,7 +62,7 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
     part = replace(axis.part, base=axis.part.base[:free], rough=0)
     known = {name for play in plays for name in play.known}
     stated = [n for n in model.parameters() if n not in part.base and n not in known]
-    held = next((p.free for p in by_axis(model, stated, plays, None) if p.axis == part.axis), ())
+    held = tuple(name for p in by_axis(model, stated, plays, None) if p.axis in part.axes for name in p.free)
     infos = model.parameters()
     found = []
     for name, value in _promising(model, plays, axis, part, held, run)[:REFITTED] if held else ():

@@ -107,8 +107,9 @@ def next_experiment(
         told = " and ".join(sorted(r.name for r in rivals))
         known = _harshest(axis, rivals[0].points[0])
         start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
-        for name, command in menu(model, axis.part.axis).items():
-            answers, harsh = _answers(axis, rivals, command, 1.0 if floor else math.sqrt(axis.best.cost), known)
+        offered = [(own, item) for own in axis.part.axes for item in menu(model, own).items()]
+        for own, (name, command) in offered:
+            answers, harsh = _answers(axis, own, rivals, command, 1.0 if floor else math.sqrt(axis.best.cost), known)
             # The two that stay closest count: what tells a third rival from both decides nothing.
             size = math.sqrt(
                 min(
@@ -182,11 +183,11 @@ def _rival(axis: AxisDiagnosis, refit: Refit) -> _Rival:
 
 
 def _answers(
-    axis: AxisDiagnosis, rivals: Sequence[_Rival], command: Command, unit: float, known: float
+    axis: AxisDiagnosis, name: str, rivals: Sequence[_Rival], command: Command, unit: float, known: float
 ) -> tuple[list[Array], Harsh]:
     """(1 + k, n) for each rival: the compared samples of its roll-outs, in units of the floor, each of weight 1 / n.
 
-    And how harsh the command is, `known` being the largest jerk recorded, rad/s^3.
+    And how harsh the command, which moves the axis `name`, is, `known` being the largest jerk recorded, rad/s^3.
     """
     search, signals = axis.search, axis.part.signals
     floors = [unit * float(np.median(search.scale[search.signal == i])) for i in range(len(signals))]
@@ -200,13 +201,13 @@ def _answers(
         nthread=search.evidence.nthread,
     )  # fmt: skip
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
-    mine = model.rig.axis(axis.part.axis)
+    mine = model.rig.axis(name)
     moved = result.values[:, 0][:, :, [every.index(m.signal) for m in mine.measured if m.quantity == "position"]]
     low, high = (STOP * limit for limit in mine.limits)
     stopped = bool(np.nanmin(moved) < low or np.nanmax(moved) > high)
     harsh = Harsh(harshness(angles, time, 2), harshness(angles, time, 3) <= known, stopped)
     late = time - time[0] >= SETTLED
-    channel = model.rig.command_channels.index(model.rig.axis(axis.part.axis).command)
+    channel = model.rig.command_channels.index(mine.command)
     calm = late & is_steady(targets[:, channel], time[1] - time[0])
     parts = [
         result.values[:, 0, late if result.units[i] in ("rad", "m") else calm, i] / floors[i]

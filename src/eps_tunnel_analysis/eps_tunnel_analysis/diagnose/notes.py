@@ -32,7 +32,7 @@ def notes_of(
         )
     for part in parts:
         if part not in moved:
-            notes.append(f"No command moves axis {part.axis}: none of its effects can be seen. Play excite_12s.")
+            notes.append(f"No command moves axis {part.name}: none of its effects can be seen. Play excite_12s.")
     filmed = any(s in play.trials.signals for s in BALL_SIGNALS for play in plays)
     if model.rig.ball and filmed and not sees_ball(model, plays):
         notes.append("The ball was not seen where each recording begins, so its effects were not considered.")
@@ -41,17 +41,17 @@ def notes_of(
         poor = [r.effects for r in axis.refits if r.effects and not r.converged and r.cost < 2.0 * axis.best.cost]
         if poor:
             names = ", ".join(" + ".join(effects) for effects in poor[:3])
+            title = axis.part.title
             notes.append(
-                f"Axis {axis.part.axis}: the fit of {names} has not converged; its probability may be too low."
+                f"{title[0].upper()}{title[1:]}: the fit of {names} has not converged; its probability may be too low."
             )
-        torque = {m.signal for m in model.rig.measured if m.quantity == "torque"}
-        if not torque & set(axis.part.signals):
-            notes.append(
-                f"Axis {axis.part.axis} has no recorded effort: friction under a stiff drive and dead band look alike."
-            )
-        measured = next(a for a in model.rig.axes if a.name == axis.part.axis).measured
-        positions = [m for m in measured if m.quantity == "position"]
-        seen = {m.joint for m in positions if m.signal in axis.part.signals}
-        if len(seen) < len({m.joint for m in positions}):
-            notes.append(f"Axis {axis.part.axis} has one position only: what lies between motor and load is guesswork.")
+        for own in (model.rig.axis(name) for name in axis.part.axes):
+            seen = [m for m in own.measured if m.signal in axis.part.signals]
+            if all(m.quantity != "torque" for m in seen):
+                notes.append(
+                    f"Axis {own.name} has no recorded effort: friction under a stiff drive and dead band look alike."
+                )
+            joints = [{m.joint for m in some if m.quantity == "position"} for some in (seen, own.measured)]
+            if len(joints[0]) < len(joints[1]):
+                notes.append(f"Axis {own.name} has one position only: what lies between motor and load is guesswork.")
     return tuple(notes)

@@ -105,7 +105,7 @@ def missing_force(
     """
     search = axis_search(model, plays, part, SearchOptions((), nthread))
     folds = search.evidence.fold(SETTINGS.block)
-    playing = Playing(model, plays, part.axis, part.signals, part.base, nthread=nthread)
+    playing = Playing(model, plays, part.name, part.signals, part.base, nthread=nthread)
     sizes = [sum(len(n.time) for n in p.noise) for p in playing.plays]
     owner = np.repeat(np.arange(len(sizes)), sizes)
     first = np.concatenate([[0], np.cumsum(sizes)])
@@ -136,9 +136,9 @@ def missing_force(
             )  # fmt: skip
     left = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     here = np.concatenate([a.residuals for a in answers])
-    slides = next(a for a in model.rig.axes if a.name == part.axis).slides
+    slides = next(a for a in model.rig.axes if a.name == part.name).slides
     floors = float(np.mean(here**2)), float(np.mean(left**2))
-    return MissingForce(part.axis, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors)
+    return MissingForce(part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors)
 
 
 def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, Array, Array]]) -> bool:

@@ -17,7 +17,6 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate, with_curves
 from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
-from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.added_force import visited
 from eps_tunnel_analysis.law.depends import Depends, Design, Predictor, depends, knots_of, traced, variables
@@ -190,14 +189,14 @@ def propose(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 
     """
     missing = missing_force(model, plays, part, nthread)
     if missing.worst <= SETTINGS.healthy:
-        return Proposal(part.axis, part.axis, missing, Depends((), 0.0), Formula((), 0.0, (0.0, 0.0)))
+        return Proposal(part.name, part.name, missing, Depends((), 0.0), Formula((), 0.0, (0.0, 0.0)))
     design = Design.of(missing)
     positions = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
-    found = depends(design, positions, seed, ratios(model.rig, part.axis))
+    found = depends(design, positions, seed, ratios(model.rig, part.name))
     first, motions = found.first, [p.motion for p in design.plays]
-    shows = visit(model, part.axis, first or found.dependences[0], motions)
+    shows = visit(model, part.name, first or found.dependences[0], motions)
     if first is None:
-        return Proposal(part.axis, part.axis, missing, found, Formula((), 0.0, (0.0, 0.0)), base=model, visit=shows)
+        return Proposal(part.name, part.name, missing, found, Formula((), 0.0, (0.0, 0.0)), base=model, visit=shows)
     sensor = list(part.signals).index(first.place) if first.curve == "curve_sensor" else None
     law = formula(design, dictionary(design) if sensor is None else sensor_dictionary(design), sensor, seed)
     spans = visited(motions)
@@ -205,7 +204,7 @@ def propose(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 
     chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (first.curve, first.place))
     weights = Predictor(design).explained(chosen.columns(design), curve=True).weights
     table = tuple(zip(knots_of(first.curve, spans[first.curve]).tolist(), weights.tolist(), strict=True))
-    bare = Proposal(part.axis, first.place, missing, found, law, base=model, curve=table, visit=shows)
+    bare = Proposal(part.name, first.place, missing, found, law, base=model, curve=table, visit=shows)
     run = SearchOptions((), nthread)
     tried: list[tuple[str, str, Refitted, Model, float]] = []
     text = ""
@@ -227,7 +226,7 @@ def propose(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 
     if kind == "formula":
         law = replace(law, terms=tuple(_refined(law.terms, refit.values)))
         text = effect_file(law.terms, sensor is not None)
-        found = _with_period(found, law, ratios(model.rig, part.axis))
+        found = _with_period(found, law, ratios(model.rig, part.name))
     return replace(
         bare, kind=kind, effect=name, text=text if kind == "formula" else "",
         equation=form if kind == "formula" else effects()[first.curve].equation,
@@ -265,12 +264,13 @@ def confirmed(proposal: Proposal, plays: Sequence[Play], nthread: int = 0) -> Pr
 
 def proposal_of(diagnosis: Diagnosis, plays: Sequence[Play], nthread: int = 0, seed: int = 0) -> Proposal | None:
     """What is proposed for the axis that lacks most, where the verdict is "unknown"; None elsewhere."""
-    left = {a.part.axis: worst_floors(a.base.residuals, a.search.signal) for a in diagnosis.axes}
-    axes = [a for a in diagnosis.axes if a.part.axis != BALL and left[a.part.axis] > SETTINGS.healthy]
-    if diagnosis.verdict.verdict != "unknown" or not axes:
+    left = {name: a.worst(name) for a in diagnosis.axes for name in a.part.axes if name != BALL}
+    most = max(left, key=lambda name: left[name])
+    if diagnosis.verdict.verdict != "unknown" or left[most] <= SETTINGS.healthy:
         return None
-    worst = max(axes, key=lambda a: left[a.part.axis])
-    return propose(diagnosis.base_model, [without_ball(p) for p in plays], worst.part, nthread, seed)
+    alone = [without_ball(p) for p in plays]
+    part = next(p for p in axis_parts(diagnosis.base_model, alone) if p.name == most)
+    return propose(diagnosis.base_model, alone, part, nthread, seed)
 
 
 def propose_on(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.base_values import base_refit, fitted_bases
+from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.simulated import Play
@@ -37,12 +37,7 @@ def quick_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], 
 
 def thorough_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], nthread: int = 0) -> Model:
     """The same as a diagnosis does it."""
-    run = SearchOptions((), nthread)
-    bases, result = fitted_bases(model, plays, parts, run), model
-    for part in parts:
-        search = axis_search(bases.among(model, part.axis), plays, part, run)
-        result = _with_base(result, search, base_refit(search, bases.values.get(part.axis)).values)
-    return result
+    return model.with_values(fitted_bases(model, plays, parts, SearchOptions((), nthread)).values, "refitted")
 
 
 def _with_base(model: Model, search: Search, values: Array) -> Model:
@@ -52,7 +47,7 @@ def _with_base(model: Model, search: Search, values: Array) -> Model:
 
 def with_effect_fitted(model: Model, plays: Sequence[Play], axis: str, name: str, nthread: int = 0) -> Model:
     """A model with an effect of the library, `EFFECT.PLACE`, fitted together with an axis's base values."""
-    part = next(p for p in axis_parts(model, plays) if p.axis == axis)
+    part = next(p for p in axis_parts(model, plays) if p.name == axis)
     search = axis_search(model, plays, part, SearchOptions((name,), nthread))
     own = search.library.find(name)
     base = search.refit([((), search.start)], 1)[0]
@@ -73,7 +68,7 @@ def worst_on(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int =
 
 def floors_on(model: Model, plays: Sequence[Play], axis: str, nthread: int = 0) -> float:
     """Mean square in units of the noise floor that a model leaves of an axis in plays, nothing being fitted."""
-    part = next(p for p in axis_parts(model, plays) if p.axis == axis)
+    part = next(p for p in axis_parts(model, plays) if p.name == axis)
     return float(np.mean(_as_it_is(model, plays, part, nthread)[1] ** 2))
 
 

@@ -94,7 +94,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
     """One table an axis, most probable first; then what the best could be mistaken for."""
     blocks: list[Block] = []
     for axis in diagnosis.axes:
-        blocks.append(Heading(part_name(axis.part.axis).capitalize()))
+        blocks.append(Heading(f"{axis.part.title[0].upper()}{axis.part.title[1:]}"))
         if not axis.refits:
             blocks.append(Text("The model with refitted values is within the noise; no candidate was tried."))
             continue

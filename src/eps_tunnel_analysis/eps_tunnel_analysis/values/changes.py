@@ -18,12 +18,11 @@ from eps_tunnel_analysis.diagnose.axis_search import (
     AxisPart,
     SearchOptions,
     axis_parts,
-    axis_search,
     moved_parts,
     search_of,
 )
 from eps_tunnel_analysis.diagnose.ball import without_ball
-from eps_tunnel_analysis.diagnose.base_values import base_refit, fitted_bases
+from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, independent, joint, rank
@@ -191,11 +190,11 @@ def changes(
     if not keep_values:
         model = fitted_then(model, then, parts, run)
     chosen = _chosen(model, parts, only)
-    axes = [_axis_changes(chosen[part.axis], then, now, part, run) for part in parts]
+    axes = [_axis_changes(chosen[part.name], then, now, part, run) for part in parts]
     probabilities = joint([axis.probabilities for axis in axes])
     kind, named, stated = decide(probabilities, SETTINGS.coverage)
     single = any(play.trials.count == 1 for play in (*then, *now))
-    floors = {part.axis: (axis.base.cost, axis.of(named).cost) for part, axis in zip(parts, axes, strict=True)}
+    floors = {part.name: (axis.base.cost, axis.of(named).cost) for part, axis in zip(parts, axes, strict=True)}
     return Changes(
         outcome=OUTCOMES[kind],
         named=named,
@@ -213,16 +212,8 @@ def changes(
 
 def fitted_then(model: Model, then: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions) -> Model:
     """The model with every axis's values fitted to what was recorded then."""
-    nothing = replace(run, only=())
-    bases = fitted_bases(model, then, parts, nothing)
-    for part in parts:
-        if not part.base:
-            continue
-        search = axis_search(bases.among(model, part.axis), then, part, nothing)
-        refit = base_refit(search, bases.values.get(part.axis))
-        found = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
-        model = model.with_values(found, "fitted to what was recorded then")
-    return model
+    found = fitted_bases(model, then, parts, replace(run, only=())).values
+    return model.with_values(found, "fitted to what was recorded then")
 
 
 def refitted(
@@ -240,9 +231,9 @@ def refitted(
     parts = moved_parts(model, axis_parts(model, [*then, *now]), now)
     chosen = _chosen(model, parts, names)
     for part in parts:
-        if not chosen[part.axis].candidates:
+        if not chosen[part.name].candidates:
             continue
-        search, base = _search(chosen[part.axis], then, now, part, run)
+        search, base = _search(chosen[part.name], then, now, part, run)
         search.settle_at(base)
         points = search.trial_points([base], search.library.candidates)
         start = base.values.copy()
@@ -258,7 +249,7 @@ def refitted(
 
 def _chosen(model: Model, parts: Sequence[AxisPart], only: Sequence[str] | None) -> dict[str, Library]:
     """For each axis what can have changed there, and the model that holds it all as it was then."""
-    own = {part.axis: _value_candidates(model, part) for part in parts}
+    own = {part.name: _value_candidates(model, part) for part in parts}
     known = [c.name for found in own.values() for c in found]
     wanted = None if only is None else [n for n in only if n not in known and n not in {k.split(".")[0] for k in known}]
     if wanted:
@@ -271,13 +262,13 @@ def _chosen(model: Model, parts: Sequence[AxisPart], only: Sequence[str] | None)
     lib = library(model, (), False, new)
     found: dict[str, Library] = {}
     for part in parts:
-        mine = [c for c in lib.candidates if c.axes == (part.axis,)]
-        mine += [c for c in own[part.axis] if only is None or c.name in only or c.name.partition(".")[0] in only]
+        mine = [c for c in lib.candidates if c.axes == (part.name,)]
+        mine += [c for c in own[part.name] if only is None or c.name in only or c.name.partition(".")[0] in only]
         held = lib.model
         for other in lib.candidates:
             if other not in mine:
                 held = held.without_effect(other.effect.name, other.place)
-        found[part.axis] = Library(held, (), tuple(mine))
+        found[part.name] = Library(held, (), tuple(mine))
     return found
 
 
@@ -287,11 +278,11 @@ def _value_candidates(model: Model, part: AxisPart) -> list[Candidate]:
     for name in part.base:
         if name.startswith("drive."):
             owner, _, short = name.rpartition(".")
-            p = next(p for p in model.drives[part.axis].kind.parameters if p.name == short)
+            p = next(p for p in model.drives[part.name].kind.parameters if p.name == short)
             span = infos[name].high - infos[name].low
             step = max(STEP_OF_A_VALUE * abs(infos[name].value), STEP_OF_ITS_SPAN * span)
             moved = _moved(p, infos[name].value, infos[name].low, infos[name].high, step)
-            found.append(Candidate(_value_as_effect(owner, moved), short, (part.axis,), (name,)))
+            found.append(Candidate(_value_as_effect(owner, moved), short, (part.name,), (name,)))
     for use in model.effects:
         prefix = f"{use.effect.name}.{use.place}."
         main = [p for p in use.effect.parameters if p.fitted and p.off is not None and f"{prefix}{p.name}" in part.base]
@@ -301,7 +292,7 @@ def _value_candidates(model: Model, part: AxisPart) -> list[Candidate]:
         )
         if main:
             effect = replace(use.effect, parameters=moved_all)
-            found.append(Candidate(effect, use.place, (part.axis,), tuple(f"{prefix}{p.name}" for p in main)))
+            found.append(Candidate(effect, use.place, (part.name,), tuple(f"{prefix}{p.name}" for p in main)))
     return found
 
 
