@@ -366,7 +366,7 @@ def test_the_unit_of_a_value_does_not_matter_where_stretches_are_left_out(by: fl
 def test_an_axis_is_searched_among_the_others_with_their_refitted_values() -> None:
     model = load_model("labyrinth_manual")
     bases = Bases({"drive.x.p": 11.0, "drive.x.delay": 0.011, "drive.y.p": 12.0})
-    x, y = (AxisPart((axis,), (f"motor_{axis}",), (f"drive.{axis}.p", f"drive.{axis}.delay")) for axis in "xy")
+    x = AxisPart(("x",), ("motor_x",), ("drive.x.p", "drive.x.delay"))
     own, among = model.values(), bases.among(model, x).values()
     assert {name for name in own if among[name] != own[name]} == {"drive.y.p"}
     assert among["drive.y.p"] == 12.0
