@@ -352,6 +352,17 @@ def test_no_value_is_left_out_beyond_its_bounds() -> None:
     assert left_out(np.empty((len(answers), 0)), residuals, folds, nothing) == pytest.approx(residuals)
 
 
+def test_two_values_that_do_the_same_are_left_out_as_one_though_their_bounds_differ() -> None:
+    jacobian, folds, answers = linear(5)
+    data = answers + np.random.default_rng(6).standard_normal(len(answers))
+    residuals = refitted(jacobian, data, np.ones(len(data)))
+    one = left_out(jacobian, residuals, folds, WIDE)
+    slightly = 1.0 + 1e-4 * np.random.default_rng(7).standard_normal(len(answers))  # as finite differences see it
+    twice = np.column_stack([jacobian, jacobian[:, 0] * slightly])
+    room = tuple(np.append(side, 0.2) for side in WIDE)
+    assert left_out(twice, residuals, folds, (room[0], room[1])) == pytest.approx(one, abs=0.05)
+
+
 @pytest.mark.parametrize("by", [-1.0, 1e3])
 def test_the_unit_of_a_value_does_not_matter_where_stretches_are_left_out(by: float) -> None:
     jacobian, folds, answers = linear(5)

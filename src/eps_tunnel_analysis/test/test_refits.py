@@ -8,7 +8,7 @@ import pytest
 from fit_cases import FREE, made_by, plays, start, step
 from fit_cases import TRUTH as SLOW
 
-from eps_tunnel_analysis.diagnose.axis import nested_refits, rival_refits
+from eps_tunnel_analysis.diagnose.axis import nested_refits, rival_refits, stated_jobs
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.diagnose.search import Refit, Search
@@ -125,6 +125,35 @@ def test_a_value_that_is_stated_is_left_only_for_a_reason(recorded: list[Play]) 
     assert search.strain(moved) == pytest.approx(1.0)
     moved[search.library.base.index("drive.x.p")] *= 2.0  # a gain is anybody's guess
     assert search.strain(moved) == pytest.approx(1.0)
+
+
+def test_a_base_that_lies_at_its_bound_leaves_the_rest_to_an_effect(recorded: list[Play]) -> None:
+    model = start().with_values({**TRUTH, "drive.x.delay": 0.02})  # of 0.03
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
+    search = axis_search(model, recorded, part, SearchOptions(("command_delay", "sensor_bias"), 1))
+    delay = np.array(search.library.names) == "drive.x.delay"
+    search.high = np.where(delay, 0.02, search.high)
+    search.firmness = np.where(delay, 0.0, 1.0)
+    search = search.as_stated()
+    base = search.at(search.start, refit(search, (), 1.0))
+    late, biased = (
+        min(p.promised for p in search.trial_points([base], [search.library.find(name)]))
+        for name in ("command_delay.x", "sensor_bias.board_x")
+    )
+    assert late < 0.5 * biased
+
+
+def test_effects_are_tried_beside_values_as_stated_where_the_base_strays_from_them(recorded: list[Play]) -> None:
+    model = start().with_values(TRUTH).with_effect("viscous_friction", "x", {"damping": 0.05}, "data sheet")
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
+    search = axis_search(model, recorded, part, SearchOptions(("command_delay", "sensor_bias"), 1))
+    column = search.library.base.index("viscous_friction.x.damping")
+    assert stated_jobs(search, refit(search, (), 1.0)) == []
+    strayed = search.start.copy()
+    strayed[column] *= 3.0
+    jobs = stated_jobs(search, replace(refit(search, (), 1.0), values=strayed))
+    assert jobs
+    assert all(values[column] == search.start[column] for _, values in jobs)
 
 
 # ---- sets that contain others

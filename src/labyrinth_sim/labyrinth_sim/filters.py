@@ -75,7 +75,8 @@ class Lag:
         here = now - a * (rise + 0.5 * bend) + a**2 * bend
         there = before - a * (rise - 0.5 * bend) + a**2 * bend
         put = np.where(self._none[:, None], now, here - self._keep[:, None] * there).T.copy()
-        restarts, keep, last = np.isnan(put).any(axis=1), self._keep, self._last
+        restarts = np.any(np.isnan(put), axis=1)
+        keep, last = self._keep, self._last
         out = np.empty_like(put)
         for k, restart in enumerate(restarts):
             last = put[k] + keep * last

@@ -19,6 +19,9 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
+STRAINED = 1.0  # sum of squares, of deviations from what is stated, from which a base strays
+STATED_SHORTLIST = 10  # effects fitted beside a base as stated, and
+STATED_KEPT = 3  # how many of them go on with all values free
 REBASED = 1  # refits whose base values are sought anew, each from
 REBASE_STARTS = 2  # starts, its own among them
 NEAR_BEST = 2.0  # times the best's cost; such refits start again from its base values
@@ -37,18 +40,37 @@ MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leave
 # ---- effects
 
 
-def next_refits(search: Search, on: Sequence[Refit], shortlist: int = SHORTLIST) -> list[Refit]:
+def next_refits(
+    search: Search, on: Sequence[Refit], shortlist: int = SHORTLIST, more: Sequence[Job] = ()
+) -> list[Refit]:
     """Every candidate refitted on top of refits: trial points, then descents of the most promising; best first.
 
     Args:
         on: the best first; where several effects act, one of them alone may not be what explains most.
+        more: descended in any case.
     """
     search.settle_at(on[0])
     points = [on[0], *(search.at(other.values, other) for other in on[1:])]
     tried = search.trial_points(points, search.library.candidates)
-    if not tried or tried[0].promised > on[0].cost - 0.5 * SETTINGS.material:
+    if not more and (not tried or tried[0].promised > on[0].cost - 0.5 * SETTINGS.material):
         return []
-    return _rebased(search, search.best_of(_jobs(search, points, tried, shortlist), ROUNDS))
+    return _rebased(search, search.best_of([*_jobs(search, points, tried, shortlist), *more], ROUNDS))
+
+
+def stated_jobs(search: Search, base: Refit) -> list[Job]:
+    """Effects that explain most with the base values as the model states them, where the base strays from that.
+
+    A base that was bent to take up what is missing hides which effect it is: beside it none explains more.
+    """
+    if search.strain(base.values) < STRAINED:
+        return []
+    firm = search.as_stated()
+    start = np.where(search.firmness > 0.0, search.start, base.values)
+    (stated,) = firm.refit([((), start)], ROUNDS)
+    tried = firm.trial_points([stated], search.library.candidates)
+    found = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
+    search.evaluations = firm.evaluations
+    return [(tuple(search.library.find(n) for n in r.effects), r.values) for r in found[:STATED_KEPT]]
 
 
 def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], shortlist: float) -> list[Job]:
@@ -287,7 +309,7 @@ def refitted_sets(
     refits: list[Refit] = []
     allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
     if search.library.candidates and (not floor or worst_floors(base.residuals, search.signal) > CLOSE * allowed):
-        refits = next_refits(search, [base])
+        refits = next_refits(search, [base], more=stated_jobs(search, base))
         base = _better_base(search, base, refits)
         refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
         best = lowest([base, *refits])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -26,6 +27,8 @@ UNREPEATED = 2.0  # times as many floors as healthy may be left where nothing te
 #: Share of what a stretch says of the values that is kept where it is left out: as if it had been played once more. A
 #: motion that is made once in a recording would else be predicted by an extrapolation to first order.
 KEPT = 0.5
+ALIKE = 1e-6  # share of what a value does below which it does nothing that others could not do, by finite differences
+TINY = 1e-12
 
 
 @shown
@@ -131,13 +134,24 @@ def left_out(
     whole = jacobian.T @ jacobian
     if firmness is not None:
         whole += np.diag(firmness**2)
-    whole += 1e-9 * max(float(np.diag(whole).max(initial=0.0)), np.finfo(float).tiny) * np.eye(len(whole))
+    most = max(float(np.diag(whole).max(initial=0.0)), np.finfo(float).tiny)
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-9 * most))  # each value in units of what it does
+    whole = unit[:, None] * whole * unit + ALIKE * np.eye(len(whole))
     for fold in np.unique(folds):
         here = folds == fold
-        own = jacobian[here]
-        change = np.linalg.solve(whole - (1.0 - KEPT) * own.T @ own, own.T @ residuals[here])
-        found[here] = residuals[here] + own @ np.clip(change, -room[0], room[1])
+        own = jacobian[here] * unit
+        change = _within(whole - (1.0 - KEPT) * own.T @ own, own.T @ residuals[here], -room[0] / unit, room[1] / unit)
+        found[here] = residuals[here] + own @ change
     return found
+
+
+def _within(matrix: Array, right: Array, low: Array, high: Array) -> Array:
+    """(k,) what minimises x A x / 2 - b x, A (k, k) being positive, between two bounds, 0 being within them."""
+    found = np.linalg.solve(matrix, right)
+    if np.any((found < low) | (found > high)):
+        half = np.linalg.cholesky(matrix)
+        found = lsq_linear(half.T, np.linalg.solve(half, right), (low, np.maximum(high, low + TINY))).x
+    return np.asarray(found)
 
 
 def independent(residuals: Array, blocks: NDArray[np.int64]) -> float:

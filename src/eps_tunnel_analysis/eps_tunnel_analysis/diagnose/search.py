@@ -6,6 +6,7 @@ compensate to first order. Then a descent of the base values and the candidate's
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -36,6 +37,7 @@ PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corre
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps
 STANDS = 0.1  # floors by which half the step may change an answer that stands
+AT_BOUND = 1e-3  # of the bounds' span
 UNFELT = 0.02  # floors
 FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
 ROUGH = (
@@ -242,6 +244,12 @@ class Search:
                 return
             self.levels["exact"], here = finer, there
 
+    def as_stated(self) -> "Search":
+        """The same, moving none of the base values of which the model states what is expected."""
+        other = copy(self)
+        other._idle = self._idle | (self.firmness > 0.0)
+        return other
+
     def columns(self, candidate: Candidate) -> list[int]:
         """Where the library's values hold a candidate's."""
         return [self._column[name] for name in candidate.parameters]
@@ -374,7 +382,9 @@ class Search:
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row
                     pending.append((candidate, values))
-            basis = directions(np.vstack([self.changes(refit), self._held(refit)]))
+            changes = self.changes(refit)
+            free = ~self._pressed(refit, changes)
+            basis = directions(np.vstack([changes, self._held(refit)])[:, free])
             more = basis.shape[0] - len(refit.residuals)
             here = np.pad(refit.residuals, (0, more))
             here -= basis @ (basis.T @ here)
@@ -402,6 +412,12 @@ class Search:
         steps = np.where(refit.values[columns] + steps <= self.high[columns], steps, -steps)
         moved[np.arange(len(columns)), columns] += steps
         return moved
+
+    def _pressed(self, refit: Refit, changes: Array) -> NDArray[np.bool_]:
+        """(k,) which of the values that `moved` moves lie at a bound, and would make up for more beyond it."""
+        columns = self.fitted(refit)
+        room = np.minimum(refit.values - self.low, self.high - refit.values)[columns]
+        return (room < AT_BOUND * (self.high - self.low)[columns]) & (changes.T @ refit.residuals > 0.0)
 
     def _held(self, refit: Refit) -> Array:
         """(k, k) how firmly each value that `moved` moves is held, per move."""
