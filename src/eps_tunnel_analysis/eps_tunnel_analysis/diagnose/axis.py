@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
-from eps_tunnel_analysis.diagnose.candidates import Candidate
+from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
-from eps_tunnel_analysis.diagnose.search import SHORTLIST, Job, Refit, Search, TrialPoint, best_by_set
+from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Job, Refit, Search, TrialPoint, best_by_set
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
@@ -67,7 +67,8 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
     firm = search.as_stated()
     start = np.where(search.firmness > 0.0, search.start, base.values)
     (stated,) = firm.refit([((), start)], ROUNDS)
-    tried = firm.trial_points([stated], search.library.candidates)
+    few = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
+    tried = firm.trial_points([stated], few)
     found = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
     search.evaluations = firm.evaluations
     return [(tuple(search.library.find(n) for n in r.effects), r.values) for r in found[:STATED_KEPT]]
