@@ -535,6 +535,20 @@ def test_how_harsh_a_motion_is_does_not_hang_on_how_often_it_was_sampled() -> No
 # ---- several axes
 
 
+def test_an_axis_within_the_noise_is_not_called_unknown_for_what_another_one_lacks() -> None:
+    unit = smooth_noise(2 * SAMPLES, 8)
+    elbow = np.arange(2 * SAMPLES) >= SAMPLES
+    folds, runs = np.tile(np.arange(SAMPLES) * FOLDS // SAMPLES, 2), elbow.astype(np.int64)
+    base = hypothesis((), unit * np.where(elbow, 5.0, 4.0))
+    right = hypothesis(("constant_torque.shoulder",), unit * np.where(elbow, 5.0, 1.0))
+    all_of_it = rank(base, [right], folds, runs, 10, signals=runs)
+    assert all_of_it.unknown > 0.9
+    assert rank(base, [right], folds, runs, 10, signals=runs, asked=elbow).unknown > 0.9
+    shoulder = rank(base, [right], folds, runs, 10, signals=runs, asked=~elbow)
+    assert shoulder.unknown < 0.05
+    assert shoulder.marginals["constant_torque.shoulder"] > 0.9
+
+
 def part_of(axis: str, rough: str) -> AxisPart:
     return AxisPart((axis,), (axis,), (f"drive.{axis}.p", rough), 1)
 
@@ -572,12 +586,13 @@ def test_what_is_found_together_is_told_axis_by_axis() -> None:
     after = Refit(hidden, np.zeros(0), np.array([1.0, 1.0, 0.5, 0.5]), 0.625, 2, True)
     ranking = Ranking(ranked, 0.04)
     part = AxisPart(("shoulder", "elbow"), signals, ())
-    found = AxisDiagnosis(part, search, base, (after,), (), ranking, ranking)
+    parts = {"elbow": ranking, "shoulder": Ranking(ranked[:1], 0.3)}
+    found = AxisDiagnosis(part, search, base, (after,), (), ranking, ranking, parts=parts)
     shoulder, elbow = (axis_verdict(found, name, hidden) for name in part.axes)
-    assert shoulder.marginals == {hidden[0]: pytest.approx(0.9)}
+    assert shoulder.marginals == {hidden[0]: pytest.approx(0.7)}
     assert elbow.marginals == {hidden[1]: pytest.approx(0.7)}
-    assert (shoulder.none, elbow.none) == (pytest.approx(0.06), pytest.approx(0.26))
-    assert shoulder.unknown == elbow.unknown == 0.04
+    assert (shoulder.none, elbow.none) == (0.0, pytest.approx(0.26))
+    assert (shoulder.unknown, elbow.unknown) == (0.3, 0.04)
     assert (shoulder.floors, elbow.floors) == ((9.0, 1.0), (4.0, 0.25))
     assert elbow.remaining == {"elbow": 0.25}
     assert found.worst("elbow") == 4.0

@@ -55,7 +55,7 @@ def axis_verdict(axis: AxisDiagnosis, name: str, named: Collection[str]) -> Axis
     Args:
         name: of the axis, one of those that were judged together.
     """
-    ranking, after = axis.ranking, axis.acting(named)
+    ranking, after = axis.parts.get(name, axis.ranking), axis.acting(named)
     own = {c.name for c in axis.search.library.candidates if axis.part.axes == (name,) or name in c.axes}
     here = [r for r in ranking.ranked if own & set(r.effects)]
     return AxisVerdict(

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one axis lacks: single effects, several effects, and what contains them."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,6 +206,7 @@ class AxisDiagnosis:
         hypotheses: what was ranked, the base first.
         odd: signals whose trials differ as no effect of the library makes them.
         even: the ranking if uneven timing of the trials is not held against completeness.
+        parts: axis -> the ranking if it is asked of its own signals alone whether anything is left.
     """
 
     part: AxisPart
@@ -215,6 +217,7 @@ class AxisDiagnosis:
     ranking: Ranking
     even: Ranking
     odd: tuple[Repeats, ...] = ()
+    parts: Mapping[str, Ranking] = field(default_factory=dict)
 
     @property
     def best(self) -> Refit:
@@ -250,14 +253,15 @@ class AxisDiagnosis:
 
     def floors(self, refit: Refit, name: str) -> float:
         """Floors that a refit leaves of one of the axes."""
-        return float(np.mean(refit.residuals[self._of(name)] ** 2))
+        return float(np.mean(refit.residuals[self.samples_of(name)] ** 2))
 
     def worst(self, name: str) -> float:
         """Floors that the base leaves of the worst signal of one of the axes."""
-        own = self._of(name)
+        own = self.samples_of(name)
         return worst_floors(self.base.residuals[own], self.search.signal[own])
 
-    def _of(self, name: str) -> NDArray[np.bool_]:
+    def samples_of(self, name: str) -> NDArray[np.bool_]:
+        """(R,) which of the compared samples are of one of the axes."""
         return np.isin(self.search.signal, [self.part.signals.index(s) for s in self.signals_of(name)])
 
     def remaining(self, refit: Refit) -> dict[str, float]:
@@ -343,12 +347,15 @@ def _judged(
     tried = len(search.library.candidates)
     # What the base leaves of all samples says whether anything is missing; left-out ones, what explains it.
     whole = replace(alone, left_out=base.residuals)
-    even = rank(whole, hypotheses, folds_of(search), search.blocks, tried, level=level,
-                drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
-    ranking = _uneven(even) if uneven else even
-    return AxisDiagnosis(
-        part, search, base, tuple(refits), (alone, *hypotheses), ranking, even, tuple(r for _, r in differ)
-    )
+    ranked = partial(rank, whole, hypotheses, folds_of(search), search.blocks, tried, level=level,
+                     drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
+    even = ranked()
+    found = AxisDiagnosis(
+        part, search, base, tuple(refits), (alone, *hypotheses), _uneven(even) if uneven else even, even,
+        tuple(r for _, r in differ),
+    )  # fmt: skip
+    parts = {name: ranked(asked=found.samples_of(name)) for name in part.axes}
+    return replace(found, parts={name: _uneven(r) if uneven else r for name, r in parts.items()})
 
 
 def _uneven(ranking: Ranking) -> Ranking:

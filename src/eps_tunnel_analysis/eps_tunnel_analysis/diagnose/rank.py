@@ -170,6 +170,7 @@ def rank(
     drifts: bool = False,
     floor: bool = True,
     signals: NDArray[np.int64] | None = None,
+    asked: NDArray[np.bool_] | None = None,
 ) -> Ranking:
     """Probabilities of the base alone, of every hypothesis, and of something unknown.
 
@@ -186,6 +187,8 @@ def rank(
             the best leaves; where that is also likeliest, but lies far beyond the sensors' noise, something is unknown.
         signals: (R,) number of each one's signal. Whether anything is left is asked of the worst signal, for others
             with a wide floor would hide it; without them of all samples together.
+        asked: (R,) samples of which it is asked whether anything is left; of all by default. What explains it is
+            judged by all in any case.
     """
     everything = [base, *hypotheses, *curves]
     best = min(everything, key=lambda h: h.cost)
@@ -197,9 +200,10 @@ def rank(
     # Whether anything is left is a matter of the fit, what explains it of what it predicts: a motion that is made once
     # the right effect predicts badly, too.
     fitted = [h.refit.residuals for h in everything]
-    worst = _of_worst_signal(fitted, folds, weights, parts) / unit
+    here = np.ones(len(folds), dtype=bool) if asked is None else asked
+    worst = _of_worst_signal(fitted, folds, weights, parts, here) / unit
     # That something is missing is a fact of the recording; what explains it is drawn anew.
-    worst[:, 0] = _of_worst_signal(fitted[:1], folds, np.ones((1, weights.shape[1])), parts)[0, 0] / unit
+    worst[:, 0] = _of_worst_signal(fitted[:1], folds, np.ones((1, weights.shape[1])), parts, here)[0, 0] / unit
     worth = independent(best.left_out, blocks)
     first = 1 + len(hypotheses)
     lowest_curve = worst[:, first:].min(axis=1) if curves else np.full(len(costs), np.inf)
@@ -252,11 +256,15 @@ def worst_floors(residuals: Array, signal: NDArray[np.int64]) -> float:
 
 
 def _of_worst_signal(
-    residuals: Sequence[Array], folds: NDArray[np.int64], weights: Array, signals: NDArray[np.int64]
+    residuals: Sequence[Array],
+    folds: NDArray[np.int64],
+    weights: Array,
+    signals: NDArray[np.int64],
+    asked: NDArray[np.bool_],
 ) -> Array:
-    """(draws, h) as `_costs`, of the signal of which each leaves most; of all together where that is more."""
-    numbers, counts = np.unique(signals, return_counts=True)
-    parts: list[NDArray[np.bool_]] = [np.ones(len(signals), dtype=bool)]
+    """(draws, h) as `_costs`, of the signal of which each leaves most; of all that is asked where that is more."""
+    numbers, counts = np.unique(signals[asked], return_counts=True)
+    parts: list[NDArray[np.bool_]] = [asked]
     parts += [signals == number for number in numbers[counts >= FEWEST]]
     found = []
     for r in residuals:
