@@ -265,7 +265,8 @@ main(sys.argv[1:])
 def test_on_a_full_disk_nothing_is_left_of_a_bag(tmp_path: Path) -> None:
     (tmp_path / "c.csv").write_text(COMMANDS)
     options = ["--config", "healthy", "--seed", "1", "--commands", str(tmp_path / "c.csv"), "--trials", "1"]
-    command = [sys.executable, "-c", FULL, *options, "--bag", str(tmp_path / "bag")]
+    told = ["--reveal", str(tmp_path / "told.json")]
+    command = [sys.executable, "-c", FULL, *options, *told, "--bag", str(tmp_path / "bag")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert "bag cannot be written: File too large. Nothing is left of it." in done.stderr
