@@ -229,6 +229,14 @@ def test_bags_out_of_all_bounds_are_refused(
     assert not (tmp_path / "bag").exists()
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "~nobody-of-this-name/x", "", "/dev/zero"])
+def test_a_name_that_no_file_can_have_is_unknown(tmp_path: Path, capsys, name: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", name, "--commands", "no", "--bag", str(tmp_path / "bag")])
+    assert ended.value.code == 2
+    assert "Unknown testbed file" in capsys.readouterr().err
+
+
 def test_nothing_is_overwritten(tmp_path: Path, capsys) -> None:
     (tmp_path / "c.csv").write_text(COMMANDS)
     (tmp_path / "bag").mkdir()
