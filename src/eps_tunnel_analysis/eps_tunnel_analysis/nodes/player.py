@@ -9,7 +9,7 @@ from collections.abc import Callable
 from eps_tunnel_analysis.motion import RestWatch
 from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode, run_node
 from eps_tunnel_analysis.nodes.pace import Pace
-from eps_tunnel_analysis.nodes.play import Limits, Outcome, Progress, ProgressBar, SequencePlayer
+from eps_tunnel_analysis.nodes.play import MOST_TRIALS, Limits, Outcome, Progress, ProgressBar, SequencePlayer
 from eps_tunnel_analysis.nodes.rig_side import RecordClient, RigSide
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_msgs.action import PlaySequence
@@ -24,7 +24,9 @@ class Player(TunnelNode):
         self._sequence = self.parameter(
             "sequence", "", "Sequence to play at once: a name or a path; empty: wait for goals"
         )
-        self._trials = self.parameter("trials", 0, "Trials of each command; 0: as the sequence says", "-", 0, 100_000)
+        self._trials = self.parameter(
+            "trials", 0, "Trials of each command; 0: as the sequence says", "-", 0, MOST_TRIALS
+        )
         autostart = self.parameter("autostart", True, "Play `sequence` at the start, then end")
         self._record = self.parameter("record", False, "Have the analysis node record one bag per side, at autostart")
         self._folder = self.parameter("folder", "", "Folder for the bags, at autostart; empty: a new one under out/")
