@@ -28,7 +28,7 @@ FEEDBACK = 0.2  # s between two reports of progress
 TAIL = 0.3  # s of recording after each trial, so that its last sample has a neighbour to interpolate with
 REPEATS = 3  # times a trial is begun anew after a stall of this process
 STALE = 10.0  # s between the stamps of a side and the player's clock from which both cannot be meant to be one
-MOST_TRIALS = 100_000  # of each command
+MOST_TRIALS = 100_000  # of each command; the parameter's bound, which the reference reads as it stands
 RECORD_TIMEOUT = 60.0  # s; a slow disk and a busy machine need some to close a bag
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from eps_tunnel_analysis.motion import RestWatch
 from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode, run_node
 from eps_tunnel_analysis.nodes.pace import Pace
-from eps_tunnel_analysis.nodes.play import MOST_TRIALS, Limits, Outcome, Progress, ProgressBar, SequencePlayer
+from eps_tunnel_analysis.nodes.play import Limits, Outcome, Progress, ProgressBar, SequencePlayer
 from eps_tunnel_analysis.nodes.rig_side import RecordClient, RigSide
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_msgs.action import PlaySequence
