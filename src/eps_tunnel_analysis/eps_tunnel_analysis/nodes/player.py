@@ -24,9 +24,7 @@ class Player(TunnelNode):
         self._sequence = self.parameter(
             "sequence", "", "Sequence to play at once: a name or a path; empty: wait for goals"
         )
-        self._trials = self.parameter(
-            "trials", 0, "Trials of each command; 0: as the sequence says", "-", 0, MOST_TRIALS
-        )
+        self._trials = self.parameter("trials", 0, "Trials of each command; 0: as the sequence says", "-", 0, 100_000)
         autostart = self.parameter("autostart", True, "Play `sequence` at the start, then end")
         self._record = self.parameter("record", False, "Have the analysis node record one bag per side, at autostart")
         self._folder = self.parameter("folder", "", "Folder for the bags, at autostart; empty: a new one under out/")
