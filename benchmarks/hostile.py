@@ -39,7 +39,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from eps_tunnel_analysis.cli.main import main
 from eps_tunnel_analysis.recording import BagWriter
-from eps_tunnel_analysis.recording.bag import MAGIC, read_mcap
+from eps_tunnel_analysis.recording.bag import MAGIC, TwoTypesError, read_mcap
 from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE, TRIAL, typestore
 from labyrinth_hw.testbed.command_line import main as testbed
 from labyrinth_sim.config import find
@@ -74,6 +74,23 @@ WORDS = (
     *("2020-99-99", "!!python/name:os.system", "<<: *a", "\0", "\u2028", "é", "../../x", "/dev/null", "x" * 5000, "'"),
     *('"', "- - - -", "? ", "|", "%s", "{0}", "[" * 60, "=", ",,,", "\t", "0x1F", "1_000", "::", "rad", "deg"),
 )
+URDF = """\
+<robot name="horn">
+  <link name="base"/>
+  <link name="horn">
+    <inertial>
+      <mass value="0.01"/>
+      <inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="horn" type="revolute">
+    <parent link="base"/>
+    <child link="horn"/>
+    <axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="2" velocity="5"/>
+  </joint>
+</robot>
+"""
 
 
 @dataclass(frozen=True)
@@ -108,6 +125,10 @@ def prepare(folder: Path) -> None:
     shutil.copy(find("sequences", "ball_3s"), folder / "sequence.yaml")
     model = find("models", "horn").read_text(encoding="utf-8").replace("rig: horn", "rig: horn.yaml")
     (folder / "model.yaml").write_text(model, encoding="utf-8")
+    (folder / "horn.urdf").write_text(URDF, encoding="utf-8")
+    (folder / "known").mkdir()
+    shutil.copytree(folder / "real_0", folder / "known" / "real")
+    (folder / "known" / "known.yaml").write_text("drive.horn.damping: 0.5\n", encoding="utf-8")
     hw = Path(sys.modules["labyrinth_hw"].__file__ or "").parents[1] / "config" / "testbed" / "paper.yaml"
     (folder / "testbed.yaml").write_text(hw.read_text(encoding="utf-8"), encoding="utf-8")
     rows = [f"{i / 100:.2f},{0.1 * (i > 5)},{0.1 * (i > 8)},{0.5}" for i in range(SAMPLES)]
@@ -215,8 +236,10 @@ def rebuilt_mcap(rng: random.Random, data: bytes, folder: Path) -> bytes:
     """A file with the same messages, well formed and with right checksums, but for a few fields that say otherwise."""
     source = folder / "source"
     source.write_bytes(data)
-    topics = read_mcap(source).topics
-    source.unlink()
+    try:
+        topics = read_mcap(source).topics
+    finally:
+        source.unlink()
     content: list[Any] = []
     odd = rng.randrange(8)
     for number, (name, topic) in enumerate(topics.items(), start=1):
@@ -283,12 +306,13 @@ def damage(rng: random.Random, file: Path) -> None:
     """Changes one file for the worse."""
     data = file.read_bytes()
     if file.suffix == ".mcap" and rng.random() < 0.6:
-        with contextlib.suppress(ValueError, struct.error, OverflowError):  # what no file can hold
+        # What no file can hold, and what cannot be read after the damage before.
+        with contextlib.suppress(ValueError, struct.error, OverflowError, TwoTypesError):
             data = rebuilt_mcap(rng, data, file.parent)
     elif file.suffix == ".db3" and rng.random() < 0.6:
         damage_table(rng, file)
         return
-    elif file.suffix in (".yaml", ".csv", ".xml") and rng.random() < 0.85:
+    elif file.suffix in (".yaml", ".csv", ".xml", ".urdf") and rng.random() < 0.85:
         data = damage_text(rng, data.decode(errors="replace")).encode(errors="surrogatepass")
     else:
         data = damage_bytes(rng, data)
@@ -317,7 +341,15 @@ COMMANDS: tuple[Command, ...] = (
     ("import-csv", TABLE, ("log.csv",)),
     ("sequences", "sequences {0}/sequence.yaml --csv OUT", ("sequence.yaml",)),
     ("calibrate", " ".join(FIT) + FITTED, ("checkpoint", "model.yaml", "horn.yaml", "real_0/real_0.mcap")),
-    ("testbed", "--config {0}/testbed.yaml --bag OUT --commands {0}/goals.csv --trials 1 --seed 1",
+    ("compare", "compare --real {0}/known/real --model {0}/model.yaml", ("known/known.yaml", "known/real/real_0.mcap")),
+    ("check", "check --real {0}/real_0 --model {0}/model.yaml --candidates gain_error --threads 1",
+     ("model.yaml", "horn.yaml", "horn.xml", *MCAP)),
+    ("sweep", "sweep drive.horn.damping=0:1:2 --real {0}/real_0 --model {0}/model.yaml --threads 1 --out OUT",
+     ("model.yaml", "horn.xml", "real_0/real_0.mcap")),
+    ("export", "export --model {0}/model.yaml --mjcf OUT.xml", ("model.yaml", "horn.yaml", "horn.xml")),
+    ("new-rig", "new-rig {0}/horn.xml --bag {0}/real_0 --no-check --out OUT", ("horn.xml", "real_0/real_0.mcap")),
+    ("new-rig", "new-rig {0}/horn.urdf --csv {0}/log.csv --no-check --out OUT", ("horn.urdf", "log.csv")),
+    ("testbed", "--config {0}/testbed.yaml --bag OUT --reveal OUT.json --commands {0}/goals.csv --trials 1 --seed 1",
      ("testbed.yaml", "goals.csv")),
 )  # fmt: skip
 OPTIONS = {
@@ -325,6 +357,9 @@ OPTIONS = {
     "import-csv": ("--scale", "--time", "--position", "--namespace", "--command"),
     "sequences": ("--rate",),
     "calibrate": ("--rate", "--budget", "--hold-out", "--free", "--seed", "--signals", "--generations"),
+    "check": ("--rate", "--max-gap", "--threads", "--signals", "--known"),
+    "sweep": ("--rate", "--k", "--threads", "--known"),
+    "new-rig": ("--match", "--threads", "--position-unit"),
     "testbed": ("--trials", "--seed", "--effect"),
 }
 
@@ -456,6 +491,11 @@ def _processor_time(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def _tell(seed: int, outcome: Outcome) -> None:
+    if outcome.kind in FAILURES:
+        print(seed, outcome.kind, outcome.words, flush=True)
+
+
 def command_line() -> None:
     """Parses, runs, writes the counts."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -468,7 +508,7 @@ def command_line() -> None:
     seeds = [given.only] if given.only is not None else list(range(given.seed, given.seed + given.tries))
     total: dict[str, Any] = {}
     for at in range(0, len(seeds), 250):
-        part = study(seeds[at : at + 250], lambda seed, o: print(seed, o.kind, o.words) if o.kind in FAILURES else None)
+        part = study(seeds[at : at + 250], _tell)
         total = {key: total[key] + value if total else value for key, value in part.items()}
         if given.json:
             given.json.write_text(json.dumps(total, indent=1) + "\n", encoding="utf-8")

@@ -2,6 +2,7 @@
 """Nodes as real processes on a domain of their own, and a client that talks to them."""
 
 import os
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,13 @@ from eps_tunnel_analysis.nodes.rig_processes import executable
 from eps_tunnel_analysis.processes import Processes
 
 PATIENCE = 180.0  # s; only what hangs takes so long
+
+
+def free_port() -> int:
+    """A port of this machine on which nothing listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 class Workplace:

@@ -20,7 +20,7 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from browser import Page, browser, chromium
-from nodes_under_test import PATIENCE, Workplace, workplace
+from nodes_under_test import PATIENCE, Workplace, free_port, workplace
 from short_sequence import SHORT
 
 from eps_tunnel_analysis.nodes.monitor_node import main
@@ -33,12 +33,6 @@ FEW = "[gravity_load, return_spring]"
 IDLE = "!document.getElementById('diagnose').disabled"
 BUSY = "document.getElementById('diagnose').disabled"
 JOINT = "parseFloat(document.getElementById('joint').textContent)"
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass

@@ -309,6 +309,7 @@ def test_each_command_of_a_sequence_goes_into_bags_of_its_own(rigs: Rigs, run: A
     [
         ({"sequence": "paper8s"}, "Did you mean 'paper_8s'"),
         ({"sequence": ""}, "No sequence named"),
+        ({"sequence": "paper_8s", "trials": 2**32 - 1}, "4294967295 trials of each command; expected at most 100000"),
         ({"sequence": "short", "too_far": True}, "moves motor_x from 0 to 30 deg; allowed are -5 to 5 deg"),
     ],
 )

@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.alikeness import KS, AgainstItself, Alikeness, alikeness, rig_against_itself
 from eps_tunnel_analysis.recording.recording import TrialMark
 from eps_tunnel_analysis.recording.resample import interpolate
-from eps_tunnel_analysis.recording.trials import MAX_GAP, RATE
+from eps_tunnel_analysis.recording.trials import MAX_GAP, MOST_SAMPLES, RATE
 from eps_tunnel_analysis.tunnel import HALF_WIDTH, Tunnel, build_tunnel, smooth
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array, Trials
 
 RELEARN = 50  # samples; the usual step between stamps is learned from that many
 SECOND = 1_000_000_000  # ns
 MEMORY = 2.0
 """s of samples kept, for a start mark that comes after the samples it begins with"""
+LARGEST = 1e12  # of any signal, SI; sums and squares of larger numbers are soon none
 REAL, SIM = "real", "sim"
 
 
@@ -250,14 +252,23 @@ class LiveGap:
         self._references[sequence_hash] = trials
 
     def start(self, side: str, mark: TrialMark) -> list[Judged]:
-        """A trial begins. One that still runs on this side is left out, as it has no end."""
+        """A trial begins. One that still runs on this side is left out, as it has no end.
+
+        Raises:
+            InputError: it is said to last no time, or longer than a grid is made for; it is left out.
+        """
         self.finish(side)
         self._running.pop(side, None)
+        self._early.pop(side, None)
+        if not 0 < mark.duration * self._rate <= MOST_SAMPLES:
+            raise InputError(
+                f"A mark on {mark.topic} says that its trial lasts {mark.duration:g} s; expected more than 0 and at "
+                f"most {MOST_SAMPLES / self._rate:g} s. That trial is left out."
+            )
         signals = self._signals_of(side, mark)
         if not signals:
             self._early[side] = [mark]
             return []
-        self._early.pop(side, None)
         trial = RunningTrial(mark, signals, self._streams[side], self._rate, self._max_gap)
         command = self._commands.get(mark.sequence_hash)
         if command is None:
@@ -280,7 +291,11 @@ class LiveGap:
         return self._judge_new()
 
     def add(self, side: str, stream: str, names: Sequence[str], stamp: int, values: Array) -> list[Judged]:
-        """One measurement: `values` of the signals `names` at `stamp` (ns), NaN where not measured."""
+        """One measurement: `values` of the signals `names` at `stamp` (ns), NaN where not measured.
+
+        What is infinite, or beyond LARGEST, was not measured.
+        """
+        values = np.where(np.abs(values) <= LARGEST, values, np.nan)
         known = self._streams[side].setdefault(stream, Stream(tuple(names)))
         if known.names != tuple(names):  # another publisher, or a model with other joints
             known.names = tuple(names)

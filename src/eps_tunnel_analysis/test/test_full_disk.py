@@ -14,6 +14,7 @@ from bag_files import command, grid, response
 from command_line import COMMAND, ENVIRONMENT, eps_tunnel
 from fit_cases import bag_of, plays
 
+from labyrinth_sim.config import find
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model, save_model
 from labyrinth_sim.whole_file import write_new
@@ -38,6 +39,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, bags: Path) -> Path:
     (folder / "log.csv").write_text("t,goal,angle\n" + "".join(f"{t},{u},{y}\n" for t, u, y in rows))
     for number, play in enumerate(plays((-2.0, 3.0), trials=1)):
         bag_of(folder / "plays" / f"bag{number}", play.trials)
+    (folder / "horn.xml").symlink_to(find("mjcf", "horn"))
     (folder / "bags").symlink_to(bags)
     return folder
 
@@ -49,6 +51,10 @@ COMMANDS = {
     "sequences": "sequences excite_12s --csv",
     "calibrate": "calibrate --real {0}/plays --model labyrinth --signals motor_x --free drive.x.p --method es "
     "--generations 1 --progress none --out",
+    "sweep": "sweep drive.x.p=10:20:2 --real {0}/plays/bag0 --model labyrinth --signals motor_x --out",
+    "new-rig": "new-rig {0}/horn.xml --csv {0}/log.csv --no-check --out",
+    "diagnose": "diagnose --real {0}/plays --model labyrinth --signals motor_x --candidates gain_error "
+    "--progress lines --out",
 }
 
 
@@ -62,6 +68,15 @@ def test_a_command_on_a_full_disk_leaves_nothing(inputs: Path, tmp_path: Path, l
     assert os.strerror(errno.EFBIG) in result.stderr
     assert str(out.parent) in result.stderr and "Traceback" not in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_mjcf_is_not_left_without_its_module(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    module = tmp_path / "file" / "module.py"
+    result = eps_tunnel("export", "--model", "labyrinth", "--mjcf", tmp_path / "new" / "out.xml", "--module", module)
+    assert result.returncode == 2
+    assert str(tmp_path / "file") in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_model_on_a_full_disk_leaves_nothing(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_files import servo_bag
 from command_line import eps_tunnel, refused
 from recording_cases import SECOND, START, joints, mark
 from recording_cases import write_bag as one_servo
@@ -55,6 +56,15 @@ def test_names_become_file_names_that_differ() -> None:
     assert not any("/" in file or file.startswith(".") for file in files)
 
 
+def test_a_signal_whose_name_is_no_file_name_is_compared_and_drawn(tmp_path: Path) -> None:
+    for side in ("real", "sim"):
+        servo_bag(tmp_path / side, side=f"/{side}", joint="../a/b", lag=0.05 if side == "real" else 0.08)
+    result = eps_tunnel("compare", "--real", tmp_path / "real", "--sim", tmp_path / "sim", "--out", tmp_path / "gap")
+    assert result.returncode == 0, result.stderr
+    drawn = [file for file in (tmp_path / "gap").rglob("*") if in_file_name("../a/b") in file.name]
+    assert drawn and sorted(path.name for path in tmp_path.iterdir()) == ["gap", "real", "sim"]
+
+
 def marked(folder: Path, duration: float, apart: float = 1.0) -> Path:
     """Two seconds of one servo, marked as a trial of `duration` s; the end mark comes `apart` s after the start."""
     with BagWriter(folder) as writer:
@@ -95,6 +105,29 @@ def test_a_trial_whose_length_is_no_length_is_refused(tmp_path: Path, duration: 
 )
 def test_senseless_rates_and_gaps_are_refused_with_their_units(words, message) -> None:
     refused("compare", "--real", "no", "--sim", "no", *words, told=[message])
+
+
+@pytest.mark.parametrize("number", ["-1", "1025", "2147483648", "9" * 5000, "1.5", "two"])
+@pytest.mark.parametrize(
+    "line",
+    ["check --real no --model no", "sweep a --real no --model no", "diagnose --real no --model no --out no",
+     "calibrate --real no --model no --out no", "new-rig no --bag no --out no",
+     "changes --then no --now no --model no"],
+)  # fmt: skip
+def test_a_senseless_number_of_threads_is_refused(line: str, number: str) -> None:
+    refused(*line.split(), "--threads", number, told=["expected a whole number from 0 to 1024, got"])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--speed", "1e-300"), "must lie between 0.001 and 1000 times, got 1e-300"),
+        (("--most-pause", "1e300"), "must lie between 0.001 and 3600 s"),
+        (("--wait", "nan"), "must lie between 0 and 3600 s"),
+    ],
+)
+def test_a_replay_that_would_never_end_is_refused(words, message) -> None:
+    refused("replay", "no", *words, told=[message])
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live figures are those of the whole trials, in whatever order the messages come."""
 
+import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +15,7 @@ from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.live import Figures, LiveGap, StampCounts
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
 from eps_tunnel_analysis.recording.resample import interpolate
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array, Trials
 
 SIGNALS = ("motor_x", "motor_y")
@@ -173,6 +176,23 @@ def test_samples_that_come_twice_or_out_of_order_change_nothing() -> None:
     live, expected = gap.figures(), offline(run, True)
     assert live is not None
     np.testing.assert_array_equal(live.shares, expected.shares)
+
+
+@pytest.mark.parametrize("duration", [math.nan, math.inf, -5.0, 0.0, 1e7, 1e300])
+@pytest.mark.parametrize("early", [False, True])
+def test_a_mark_with_a_senseless_length_is_refused_and_the_next_trial_counts(duration: float, early: bool) -> None:
+    run, gap = played(3, 1, 0.0), LiveGap()
+    if not early:
+        for side in ("real", "sim"):
+            gap.add(side, "joint_states", SIGNALS, SECOND, np.zeros(2))
+    for side in ("real", "sim"):
+        with pytest.raises(
+            InputError, match=re.escape(f"lasts {duration:g} s; expected more than 0 and at most 20000 s")
+        ):
+            gap.start(side, replace(mark(SECOND, "start", 7), duration=duration))
+    feed(gap, run)
+    figures = gap.figures()
+    assert figures is not None and (figures.trials, figures.complete) == (1, True)
 
 
 def test_a_trial_without_end_is_left_out_when_the_next_begins() -> None:

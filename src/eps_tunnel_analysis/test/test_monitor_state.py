@@ -116,6 +116,17 @@ def test_a_time_far_outside_is_left_out() -> None:
     assert rows(table) == {}
 
 
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -5.0, 1e300])
+def test_what_makes_no_sense_is_told_as_json_all_the_same(wrong: float) -> None:
+    state = State()
+    state.trial("one", wrong)
+    with state.tunnel() as table:
+        add(table, 0.1, wrong, simulated=wrong)
+    told = json.loads(json.dumps(state.changes(-1)[0], allow_nan=False))["tunnel"]
+    assert told["duration"] == 0.0
+    assert [row for row, *_ in told["rows"]] == [10]
+
+
 def test_what_one_trial_shows_is_not_judged() -> None:
     table = TunnelTable()
     table.start("one", 1.0)

@@ -160,7 +160,9 @@ def write_tables(folder: Path, time: np.ndarray, target: np.ndarray, angle: np.n
     return [file]
 
 
-def test_lerobot_episodes_become_bags(tmp_path: Path) -> None:
+def lerobot(folder: Path, **changed: object) -> np.ndarray:
+    """A dataset of two episodes of 25 frames; `changed` replaces columns, or what info.json says. Returns the states,
+    (50, 6) deg."""
     pyarrow = pytest.importorskip("pyarrow", reason="LeRobot datasets need pyarrow")
     from pyarrow import parquet
 
@@ -168,12 +170,54 @@ def test_lerobot_episodes_become_bags(tmp_path: Path) -> None:
     state = np.degrees(0.4 * np.sin(np.outer(time, np.arange(1, 7))))
     rows = {"episode_index": np.repeat([0, 1], 25), "frame_index": np.tile(np.arange(25), 2),
             "observation.state": list(state), "action": list(state + 1.0)}  # fmt: skip
-    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
-    parquet.write_table(pyarrow.table(rows), tmp_path / "data" / "chunk-000" / "file-000.parquet")
-    (tmp_path / "meta").mkdir()
     names = {"names": [f"{j}.pos" for j in JOINTS]}
-    features = {"observation.state": names, "action": names}
-    (tmp_path / "meta" / "info.json").write_text(json.dumps({"fps": 30, "features": features}))
+    info = {"fps": 30, "features": {"observation.state": names, "action": names}}
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    table = pyarrow.table({**rows, **{name: value for name, value in changed.items() if name in rows}})
+    parquet.write_table(table, folder / "data" / "chunk-000" / "file-000.parquet")
+    (folder / "meta").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps({**info, **{k: v for k, v in changed.items() if k in info}}))
+    return state
+
+
+HALF = [[1.0] * 6, *[[1.0] * 3] * 49]
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"fps": 0}, "0 frames a second"),
+        ({"fps": 1e300}, "1e+300 frames a second"),
+        ({"features": {"observation.state": {"names": {}}}}, "of []; expected"),
+        ({"features": {"observation.state": {"names": ["a", "!"]}}}, "of ['a', '']"),
+        ({"features": []}, "info.json: cannot be read"),
+        ({"observation.state": HALF}, "file-000.parquet: cannot be read"),
+        ({"observation.state": [[1.0] * 3] * 50}, "rows of (3,) numbers where 6 are expected"),
+        ({"frame_index": [None] * 50}, "must be numbers from 0"),
+        ({"episode_index": [1e300] * 50}, "must be numbers from 0"),
+        ({"episode_index": ["x"] * 50}, "file-000.parquet: cannot be read"),
+    ],
+)
+def test_a_damaged_lerobot_dataset_is_refused(tmp_path: Path, changed: dict[str, object], told: str) -> None:
+    lerobot(tmp_path / "set", **changed)
+    (tmp_path / "arm.urdf").write_text(arm())
+    line = ("new-rig", tmp_path / "arm.urdf", "--lerobot", tmp_path / "set", "--out", tmp_path / "out", "--no-check")
+    refused(*line, told=[told])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf", "set"]
+
+
+def test_a_parquet_file_that_is_none_is_refused(tmp_path: Path) -> None:
+    lerobot(tmp_path)
+    (file,) = tmp_path.rglob("*.parquet")
+    whole = file.read_bytes()
+    for content in (b"", b"PAR1", whole[: len(whole) // 2], whole[:40] + bytes(400) + whole[440:]):
+        file.write_bytes(content)
+        with pytest.raises(InputError, match=r"file-000.parquet: cannot be read"):
+            lerobot_bags(tmp_path, tmp_path / "bags")
+
+
+def test_lerobot_episodes_become_bags(tmp_path: Path) -> None:
+    state = lerobot(tmp_path)
     bags, notes = lerobot_bags(tmp_path, tmp_path / "bags")
     assert len(bags) == 2 and "2 episodes at 30 Hz" in notes[0]
     (recording, _) = read_all(bags)

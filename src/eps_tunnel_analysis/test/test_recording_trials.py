@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings become trials on one grid: exact where measured, NaN where not, and refused where they do not belong."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -211,6 +212,13 @@ def test_missing_and_mistyped_topics_are_told_together(tmp_path: Path) -> None:
     assert "Unknown topic '/real/bal'" in caught.value.complaints[2]
     with pytest.raises(InputError, match="Did you mean 'motor_x'"):
         read_trials([bag], signals=["motor_z"])
+
+
+def test_a_rig_that_measures_nothing_is_told(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", names=["joint"])
+    rig = replace(load_rig("horn"), axes=tuple(replace(axis, measured=()) for axis in load_rig("horn").axes))
+    with pytest.raises(InputError, match="bag: nothing that the rig measures is in it"):
+        read_trials([bag], rig)
 
 
 def test_a_rig_names_the_channels_of_either_side() -> None:

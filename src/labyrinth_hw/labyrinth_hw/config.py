@@ -86,13 +86,13 @@ def find(kind: str, name: str | Path) -> Path:
     Raises:
         InputError: no such file; lists the valid names and the folders searched.
     """
-    given = Path(name).expanduser()
-    if given.is_file():
+    given = Path(os.path.expanduser(name))  # leaves a user that is not there as it is
+    if os.path.isfile(given):  # False for a name that no file system takes, where is_file raises
         return given.resolve()
     where = folders(kind)
     for folder in where:
         for candidate in (folder / given, *(folder / f"{given}{suffix}" for suffix in SUFFIXES)):
-            if candidate.is_file():
+            if os.path.isfile(candidate):
                 return candidate
     searched = ", ".join(map(str, where)) or f"(no folder named {kind} anywhere)"
     raise InputError(f"{unknown_name(kind + ' file', str(name), names(kind))} Searched: {searched}.")

@@ -229,6 +229,14 @@ def test_bags_out_of_all_bounds_are_refused(
     assert not (tmp_path / "bag").exists()
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "~nobody-of-this-name/x", "", "/dev/zero"])
+def test_a_name_that_no_file_can_have_is_unknown(tmp_path: Path, capsys, name: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", name, "--commands", "no", "--bag", str(tmp_path / "bag")])
+    assert ended.value.code == 2
+    assert "Unknown testbed file" in capsys.readouterr().err
+
+
 def test_nothing_is_overwritten(tmp_path: Path, capsys) -> None:
     (tmp_path / "c.csv").write_text(COMMANDS)
     (tmp_path / "bag").mkdir()
@@ -265,7 +273,8 @@ main(sys.argv[1:])
 def test_on_a_full_disk_nothing_is_left_of_a_bag(tmp_path: Path) -> None:
     (tmp_path / "c.csv").write_text(COMMANDS)
     options = ["--config", "healthy", "--seed", "1", "--commands", str(tmp_path / "c.csv"), "--trials", "1"]
-    command = [sys.executable, "-c", FULL, *options, "--bag", str(tmp_path / "bag")]
+    told = ["--reveal", str(tmp_path / "told.json")]
+    command = [sys.executable, "-c", FULL, *options, *told, "--bag", str(tmp_path / "bag")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert "bag cannot be written: File too large. Nothing is left of it." in done.stderr

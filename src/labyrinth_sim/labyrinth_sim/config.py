@@ -67,14 +67,14 @@ def find(kind: str, name: str | Path, beside: Path | None = None) -> Path:
     Raises:
         InputError: no such file; lists the valid names and the folders searched.
     """
-    given = Path(name).expanduser()
+    given = Path(os.path.expanduser(name))  # leaves a user that is not there as it is
     path = beside.parent / given if beside else given
-    if _is_file(path):
+    if os.path.isfile(path):
         return path.resolve()
     where = folders(kind)
     for folder in where:
         for candidate in (folder / given, *(folder / f"{given}{suffix}" for suffix in SUFFIXES)):
-            if _is_file(candidate):
+            if os.path.isfile(candidate):
                 return candidate
     places = (*([beside.parent] if beside else []), *where)
     searched = ", ".join(str(folder) for folder in places) or f"(no folder named {kind} anywhere)"
@@ -82,10 +82,3 @@ def find(kind: str, name: str | Path, beside: Path | None = None) -> Path:
         f"{unknown_name(kind.removesuffix('s'), str(name), names(kind))} Searched: {searched}. "
         f"Give the path of a file, or name a folder that holds {kind}/ in ${VARIABLE}."
     )
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name longer than the file system takes
-        return False

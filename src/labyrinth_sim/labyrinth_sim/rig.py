@@ -299,7 +299,7 @@ def _read_axis(document: Document, name: str, sliding: frozenset[str]) -> Axis |
     measured = [
         _read_signal(document, (*where, "measured"), s, sliding) for s in document.mapping((*where, "measured"))
     ]
-    slides = document.value((*where, "joint")) in sliding
+    slides = str(document.value((*where, "joint"))) in sliding
     command, recorded = _read_command(document, (*where, "command"), slides)
     if entry is None:
         return None

@@ -58,6 +58,12 @@ def test_an_unknown_name_tells_the_valid_ones_and_where_it_looked(mine: Path) ->
     assert config.VARIABLE in text
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "~nobody-of-this-name/x", "a\0b", "", "/dev/zero"])
+def test_a_name_that_no_file_can_have_is_unknown(name: str) -> None:
+    with pytest.raises(InputError, match="Unknown rig"):
+        config.find("rigs", name)
+
+
 def test_a_kind_without_any_folder_says_so() -> None:
     with pytest.raises(InputError, match="no folder named gadgets"):
         config.find("gadgets", "x")

@@ -223,6 +223,7 @@ def test_a_wrong_unit_is_refused(
         ({"axes": {"a": {"limits": ["a", "b"]}}}, r"axes.a.limits\[0\]: expected a number, got 'a'"),
         ({"axes": {"a": {"limits": [1, 0]}}}, r"axes.a.limits: expected \[low, high\] with low < high"),
         ({"axes": {"a": {"turns": {"motor": 0}}}}, "axes.a.turns.motor: expected how often it turns"),
+        ({"axes": {"a": {"joint": {"b": 1}}}}, "axes.a.joint: expected text, got {'b': 1}"),
         ({"axes": {"a": {"turns": 12}}}, "axes.a.turns: expected a mapping, got 12"),
         ({"axes": {"a": 3}}, "axes.a: expected a mapping, got 3"),
         ({"axes": {"a-b": {}}}, "'a-b' must be letters, digits and single underscores"),

@@ -2,6 +2,7 @@
 """Options that several commands share."""
 
 import argparse
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from eps_tunnel_analysis.inputs import Reading
     from eps_tunnel_analysis.loop.reason import DiagnosisOptions
+
+MOST_THREADS = 1024
 
 
 def add_bag_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -86,11 +89,16 @@ def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
     """--known, --timing-ms, --held-out, --seed, --threads, --progress."""
     add_known_arguments(parser)
     parser.add_argument("--seed", type=int, default=0, help="kept with the result (default: %(default)s)")
-    parser.add_argument(
-        "--threads", type=int, default=0, metavar="N", help="of this machine (default: all, beside nodes all but one)"
-    )
+    add_threads_argument(parser, ", beside nodes all but one")
     parser.add_argument("--progress", choices=("bar", "lines"), default="bar",
                         help="on stderr: a bar, or lines of JSON for programs (default: %(default)s)")  # fmt: skip
+
+
+def add_threads_argument(parser: Any, but: str = "") -> None:
+    """--threads, of a parser or a group; 0 for all. `but` says what else the default depends on."""
+    parser.add_argument(
+        "--threads", type=_threads, default=0, metavar="N", help=f"of this machine, 0 for all (default: all{but})"
+    )
 
 
 def reading_of(arguments: argparse.Namespace) -> "Reading":
@@ -136,9 +144,17 @@ def within(low: float, high: float, unit: str) -> Callable[[str], float]:
 
 
 def at_least_one(text: str) -> int:
-    """An argparse type: a whole number from 1 on."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got '{text}'")
+    """An argparse type: a whole number from 1 on, of nine digits at most."""
+    if not re.fullmatch("[0-9]{1,9}", text) or int(text) < 1:
+        raise argparse.ArgumentTypeError(
+            f"expected a whole number of at least 1, nine digits at most, got '{text:.100}'"
+        )
+    return int(text)
+
+
+def _threads(text: str) -> int:
+    if not re.fullmatch("[0-9]{1,6}", text) or int(text) > MOST_THREADS:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to {MOST_THREADS}, got '{text:.100}'")
     return int(text)
 
 

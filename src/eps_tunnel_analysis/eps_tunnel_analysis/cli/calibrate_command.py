@@ -13,6 +13,7 @@ from eps_tunnel_analysis.cli.arguments import (
     add_held_out_argument,
     add_known_argument,
     add_model_arguments,
+    add_threads_argument,
     at_least_one,
     reading_of,
 )
@@ -71,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       help="keeps every answer of the simulator; the same call with the same file goes on where it "
                       "broke off, to the same result")  # fmt: skip
     work.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do the simulating")
-    work.add_argument("--threads", type=at_least_one, default=0, metavar="N", help="of this machine (default: all)")
+    add_threads_argument(work)
     work.add_argument("--progress", choices=("bar", "lines", "none"), default="bar",
                       help="on stderr: a bar, one JSON object a line, or nothing (default: %(default)s)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, to stdout")

@@ -11,7 +11,7 @@ from eps_tunnel_analysis.cli.arguments import (
     add_known_argument,
     add_model_arguments,
     add_reading_arguments,
-    at_least_one,
+    add_threads_argument,
     reading_of,
 )
 from eps_tunnel_analysis.outputs import circumstances, json_text, new_folder, refuse_existing
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="what can have changed: values as drive.x.p, effects as backlash (default: all)"
                         )  # fmt: skip
     parser.add_argument("--keep-values", action="store_true", help="the model's values are those of then already")
-    parser.add_argument("--threads", type=at_least_one, default=0, metavar="N", help="of this machine (default: all)")
+    add_threads_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write result, model and picture into a new folder")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, to stdout")
 

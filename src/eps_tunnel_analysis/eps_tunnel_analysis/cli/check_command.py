@@ -7,6 +7,7 @@ from eps_tunnel_analysis.cli.arguments import (
     add_bag_arguments,
     add_known_argument,
     add_model_arguments,
+    add_threads_argument,
 )
 from eps_tunnel_analysis.outputs import json_text
 from eps_tunnel_analysis.terminal import console, rollout_progress
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_arguments(parser)
     add_known_argument(parser)
     parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects to try (default: all)")
-    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of this machine (default: all)")
+    add_threads_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, to stdout")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from eps_tunnel_analysis.outputs import json_text, refuse_files
 from eps_tunnel_analysis.terminal import console, table
-from labyrinth_sim.whole_file import write_new
+from labyrinth_sim.whole_file import folder_of, write_new
 
 NAME = "export"
 HELP = "Writes a model as an MJCF, and a Python module for what acts between MuJoCo's steps."
@@ -37,10 +37,14 @@ def run(arguments: argparse.Namespace) -> None:
     module = arguments.module or arguments.mjcf.with_name(f"{arguments.mjcf.stem}_effects.py")
     refuse_files(arguments.mjcf, module)
     exported = export(load_model(arguments.model, arguments.effects))
-    arguments.mjcf.parent.mkdir(parents=True, exist_ok=True)
-    write_new(arguments.mjcf, exported.mjcf, "--mjcf")
-    if exported.module:
-        write_new(module, exported.module, "--module")
+    with folder_of(arguments.mjcf):
+        write_new(arguments.mjcf, exported.mjcf, "--mjcf")
+        try:
+            if exported.module:
+                write_new(module, exported.module, "--module")
+        except BaseException:
+            arguments.mjcf.unlink()  # alone it is another model
+            raise
     files = {"mjcf": str(arguments.mjcf), "module": str(module) if exported.module else None}
     if arguments.json:
         print(json_text({"command": NAME, **files, "values": [asdict(p) for p in exported.placements]}), end="")

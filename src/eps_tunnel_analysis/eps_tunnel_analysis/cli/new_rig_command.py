@@ -5,6 +5,7 @@ import argparse
 import shlex
 from pathlib import Path
 
+from eps_tunnel_analysis.cli.arguments import add_threads_argument
 from eps_tunnel_analysis.outputs import new_folder, refuse_existing
 from eps_tunnel_analysis.terminal import console, rollout_progress
 
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="of recorded efforts (default: told from the model's inverse dynamics)")  # fmt: skip
     parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects that the check tries (default: all)")
     parser.add_argument("--no-check", action="store_true", help="write the files only")
-    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of this machine (default: all)")
+    add_threads_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:

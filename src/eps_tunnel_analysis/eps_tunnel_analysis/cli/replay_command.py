@@ -4,7 +4,7 @@
 import argparse
 from pathlib import Path
 
-from eps_tunnel_analysis.cli.arguments import positive
+from eps_tunnel_analysis.cli.arguments import within
 from labyrinth_sim.errors import InputError
 
 NAME = "replay"
@@ -20,11 +20,13 @@ example, with `ros2 topic echo /srg` in another terminal:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="recordings, or folders of those")
-    parser.add_argument("--speed", type=positive, default=1.0, metavar="X", help="1: as recorded (default: 1)")
+    parser.add_argument(
+        "--speed", type=within(1e-3, 1e3, "times"), default=1.0, metavar="X", help="1: as recorded (default: 1)"
+    )
     parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="publish these only")
-    parser.add_argument("--most-pause", type=positive, default=5.0, metavar="S",
+    parser.add_argument("--most-pause", type=within(1e-3, 3600.0, "s"), default=5.0, metavar="S",
                         help="cut longer pauses, as between bags, to this (default: %(default)g)")  # fmt: skip
-    parser.add_argument("--wait", type=positive, default=2.0, metavar="S",
+    parser.add_argument("--wait", type=within(0.0, 3600.0, "s"), default=2.0, metavar="S",
                         help="longest wait for subscribers before the start (default: %(default)g)")  # fmt: skip
     parser.add_argument("--no-clock", action="store_true", help="do not publish /clock")
 

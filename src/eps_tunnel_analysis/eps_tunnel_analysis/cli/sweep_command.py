@@ -10,7 +10,7 @@ from eps_tunnel_analysis.cli.arguments import (
     add_bag_arguments,
     add_known_argument,
     add_model_arguments,
-    at_least_one,
+    add_threads_argument,
     positive,
     reading_of,
 )
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--k", nargs="+", type=positive, metavar="K",
                         help="factors on the real tunnel's width (default: 1 2 3 4 5)")  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="write picture and table into a new folder")
-    parser.add_argument("--threads", type=at_least_one, default=0, metavar="N", help="of this machine (default: all)")
+    add_threads_argument(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, to stdout")
 
 

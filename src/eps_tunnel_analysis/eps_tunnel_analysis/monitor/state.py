@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All that the page shows, with what changed since when; written by one thread, read by another."""
 
+import math
 import threading
 import time
 from collections import deque
@@ -52,8 +53,9 @@ class TunnelTable:
         self._last = -1
 
     def start(self, key: str, duration: float) -> None:
-        """A trial of a command begins: `key` tells commands apart, `duration` in s."""
+        """A trial of a command begins: `key` tells commands apart, `duration` in s, 0 where it makes no sense."""
         self._last, self._written = -1, False
+        duration = duration if 0 < duration <= LONGEST_SHOWN else 0.0
         if key != self._key:
             self._key, self._duration, self.trials = key, duration, 0
             self._clear(())
@@ -125,7 +127,7 @@ class TunnelTable:
         self._values = np.empty((0, len(signals), 5))
         self._alike = np.empty((0, len(signals)), dtype=np.int8)
         self._changed = np.empty(0, dtype=np.int64)
-        self._grow(round(self._duration / ROW_STEP) + 1 if 0 < self._duration <= LONGEST_SHOWN else 1)
+        self._grow(round(self._duration / ROW_STEP) + 1)
 
     def _grow(self, rows: int) -> None:
         more = rows - len(self._changed)
@@ -137,7 +139,7 @@ class TunnelTable:
 
 
 def _rounded(values: Array) -> list[float | None]:
-    return [round(value, DIGITS) if value == value else None for value in values.tolist()]
+    return [round(value, DIGITS) if math.isfinite(value) else None for value in values.tolist()]
 
 
 class State:

@@ -21,6 +21,8 @@ WORDS = {
     "position": ("position", "pos", "angle", "measured", "actual", "state", "q", "y"),
 }
 """Quantity -> words by which a column is told to hold it, as part of its name."""
+SLOWEST, FASTEST = 0.1, 1e5  # Hz, frames of a dataset
+MOST_FRAMES = 1e8  # of a dataset
 
 
 def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tuple[list[Path], list[str]]:
@@ -111,7 +113,7 @@ def lerobot_bags(dataset: Path, folder: Path) -> tuple[list[Path], list[str]]:
         InputError: no dataset, or pyarrow is not installed.
     """
     try:
-        from pyarrow import parquet  # type: ignore[import-untyped]
+        from pyarrow import ArrowException, parquet  # type: ignore[import-untyped]
     except ImportError as error:
         raise InputError(
             "LeRobot datasets are parquet files; reading them needs pyarrow: pip install pyarrow."
@@ -126,22 +128,40 @@ def lerobot_bags(dataset: Path, folder: Path) -> tuple[list[Path], list[str]]:
         rate = float(about["fps"])
         names = _names(state)
         targets = _names(action) if action else []
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{info}: cannot be read ({error!r}). Expected fps and features.observation.state.") from error
+    if not (SLOWEST <= rate <= FASTEST and names and all(names)):
+        raise InputError(
+            f"{info}: {rate:g} frames a second of {names}; expected {SLOWEST:g} to {FASTEST:g} Hz and names."
+        )
     shared = targets == names
-    columns = ["episode_index", "frame_index", "observation.state", *(["action"] if shared else [])]
-    tables = [parquet.read_table(file, columns=columns) for file in files]
+    joints = len(names)
+    columns = {
+        "episode_index": 0,
+        "frame_index": 0,
+        "observation.state": joints,
+        **({"action": joints} if shared else {}),
+    }
+    parts: dict[str, list[Array]] = {name: [] for name in columns}
+    for file in files:
+        try:
+            table = parquet.read_table(file, columns=list(columns))
+            for name, width in columns.items():
+                parts[name].append(_stacked(table[name], width))
+        except (ArrowException, ValueError, TypeError, KeyError, OSError) as error:
+            reason = f"cannot be read ({str(error).partition(chr(10))[0]:.200})"
+            raise InputError(f"{file}: {reason}. Expected parquet with {', '.join(columns)}.") from error
+    episode, frame, seen, *sent = (np.concatenate(part) for part in parts.values())
+    numbers = np.concatenate([episode, frame])
+    if not ((numbers >= 0.0) & (numbers < MOST_FRAMES)).all():
+        raise InputError(f"{dataset}: episode_index and frame_index must be numbers from 0 to {MOST_FRAMES:g}.")
     bags = []
-    episode = np.concatenate([t["episode_index"].to_numpy() for t in tables])
-    frame = np.concatenate([t["frame_index"].to_numpy() for t in tables])
-    seen = np.concatenate([_stacked(t["observation.state"]) for t in tables])
-    sent = np.concatenate([_stacked(t["action"]) for t in tables]) if shared else None
     for number in np.unique(episode):
         here = np.flatnonzero(episode == number)
         here = here[np.argsort(frame[here])]
         bags.append(
             arrays_to_bag(folder / f"episode_{int(number):03d}", frame[here] / rate, names, seen[here],
-                          None if sent is None else sent[here], metadata={"source": dataset.name})
+                          sent[0][here] if sent else None, metadata={"source": dataset.name})
         )  # fmt: skip
     note = f"{dataset.name}: {len(bags)} episodes at {rate:g} Hz, joints {', '.join(names)}."
     if not shared:
@@ -152,10 +172,14 @@ def lerobot_bags(dataset: Path, folder: Path) -> tuple[list[Path], list[str]]:
 def _names(feature: Mapping[str, Any]) -> list[str]:
     """Names of a feature's elements without what they all end in, as `.pos`."""
     names = feature["names"]
-    flat = next(iter(names.values())) if isinstance(names, Mapping) else names
+    flat = next(iter(names.values()), ()) if isinstance(names, Mapping) else names
     plain = [str(name).removesuffix(".pos").removesuffix("_pos") for name in flat]
     return [re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_") for name in plain]
 
 
-def _stacked(column: Any) -> Array:
-    return np.array(column.to_pylist(), dtype=np.float64)
+def _stacked(column: Any, joints: int) -> Array:
+    """Of N rows: (N,), or (N, joints) of lists. Raises ValueError for what is no number, or lists of another length."""
+    values = np.array(column.to_pylist(), dtype=np.float64)
+    if values.shape[1:] != ((joints,) if joints else ()):
+        raise ValueError(f"rows of {values.shape[1:]} numbers where {joints or 1} are expected")
+    return values

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records both sides, and follows the gap between them while they run."""
 
+import os
 import sys
 import time
 from array import array
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -29,6 +31,7 @@ from eps_tunnel_analysis.recording.recording import Phase, TrialMark
 from labyrinth_msgs.msg import BallState, LiveCounters, RunningModel, Srg, Trial, TunnelSample
 from labyrinth_msgs.srv import Record
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.rig import WORD
 
 PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTED: "aborted"}
 SUFFIX_FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
@@ -72,7 +75,7 @@ class AnalysisNode(TunnelNode):
             max_gap=max_gap,
             smoothed=smoothed,
         )
-        self._refer([Path(bag).expanduser() for bag in reference or () if bag], rate, max_gap)
+        self._refer([Path(os.path.expanduser(bag)) for bag in reference or () if bag], rate, max_gap)
         self._counts: dict[str, StampCounts] = {}
         self._late_after = late
         self.add_post_set_parameters_callback(self._changed)
@@ -134,6 +137,15 @@ class AnalysisNode(TunnelNode):
         return {**units, "ball_x": "m", "ball_y": "m"}
 
     def _received(self, side: str, name: str, topic: str, raw: bytes, arrival: int) -> None:
+        # Recording goes on, whatever anybody sends.
+        try:
+            self._follow(side, name, topic, raw, arrival)
+        except InputError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+        except rclpy_implementation.RMWError:
+            self.get_logger().warning(f"Left out a message on {topic} that cannot be read.", throttle_duration_sec=1.0)
+
+    def _follow(self, side: str, name: str, topic: str, raw: bytes, arrival: int) -> None:
         if name == "trial":
             self._marked(side, deserialize_message(raw, Trial), topic)
         elif name == "joint_states":
@@ -238,6 +250,8 @@ class AnalysisNode(TunnelNode):
     def _tell_numbers(self, figures: Figures) -> None:
         first = figures.ks.index(min(figures.ks))
         for row, signal in enumerate(figures.signals):
+            if not WORD.fullmatch(signal):  # the name of a joint, which ROS leaves free; no topic can have it
+                continue
             if signal not in self._numbers:
                 self._numbers[signal] = self.create_publisher(Float64, f"srg/{signal}/alikeness", 10)
             self._numbers[signal].publish(Float64(data=float(figures.shares[row, first])))
@@ -264,7 +278,7 @@ class AnalysisNode(TunnelNode):
                 metadata = {"sequence": request.sequence, "sequence_hash": request.sequence_hash}
                 self._recorder.check(request.sides)
                 missing = await self._matched(request.sides)
-                folder = Path(request.folder).expanduser()
+                folder = Path(os.path.expanduser(request.folder))
                 response.bags = self._recorder.start(folder, request.label, metadata, request.sides)
                 response.message = f"Recording {', '.join(response.bags)}."
                 if missing:

@@ -2,6 +2,7 @@
 """Diagnoses on request, in a process of its own, so that the live figures go on."""
 
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ class DiagnoseServer:
         result = Diagnose.Result(success=bool(content), message=message)
         try:
             if content:
-                out = Path(handle.request.out).expanduser()
+                out = diagnose_task(handle.request).out
                 result.message, result.file = content["sentence"], str(out / "diagnosis.json")
                 result.diagnosis = diagnosis_message(content, str((out / "report.html").resolve()))
                 result.diagnosis.header.stamp = self._node.get_clock().now().to_msg()
@@ -71,6 +72,6 @@ class DiagnoseServer:
 def diagnose_task(goal: Diagnose.Goal) -> DiagnoseTask:
     """A goal as a task."""
     return DiagnoseTask(
-        bags=tuple(map(Path, goal.bags)), model=goal.model, out=Path(goal.out), seed=goal.seed,
+        bags=tuple(map(Path, goal.bags)), model=goal.model, out=Path(os.path.expanduser(goal.out)), seed=goal.seed,
         candidates=tuple(goal.candidates),
     )  # fmt: skip

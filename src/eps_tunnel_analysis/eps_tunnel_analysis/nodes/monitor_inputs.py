@@ -2,6 +2,7 @@
 """What the monitor hears on the topics, written into its state."""
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,7 @@ class Inputs:
         def topic(kind: Any, name: str, qos: QoSProfile) -> PolledTopic:
             return PolledTopic(node, kind, name, qos, group)
 
-        self._state, self._steps = state, steps
+        self._state, self._steps, self._logger = state, steps, node.get_logger()
         self._joints = {side: topic(JointState, f"{side}/joint_states", newest()) for side in SIDES}
         self._balls = {side: topic(BallState, f"{side}/ball", newest()) for side in SIDES}
         self._trials = {side: topic(Trial, f"{side}/trial", reliable(20)) for side in SIDES}
@@ -76,6 +77,8 @@ class Inputs:
                 self._marked(side, mark)
         self._take_tunnel()
         for figures in self._srg.take():
+            if not self._fits(figures, _fits_srg):
+                continue
             self._steps.gap(
                 figures.signals,
                 figures.k,
@@ -109,10 +112,20 @@ class Inputs:
             return
         with self._state.tunnel() as table:
             for s in samples:
+                if not self._fits(s, _fits_tunnel):
+                    continue
                 table.add(
                     s.time, s.signals, np.array(s.mean), np.array(s.lower), np.array(s.upper), np.array(s.simulated),
                     s.alike,
                 )  # fmt: skip
+
+    def _fits(self, message: Any, whether: Callable[[Any], bool]) -> bool:
+        """Whether the parts of a message belong together; another than ours may have sent it."""
+        fits = whether(message)
+        if not fits:
+            text = f"Left out a {type(message).__name__} whose numbers are not as many as its signals ask for."
+            self._logger.warning(text, throttle_duration_sec=1.0)
+        return fits
 
     def _take_scene(self) -> None:
         now = time.monotonic()
@@ -130,6 +143,17 @@ class Inputs:
             return None
         seen, place = self._seen.get(side, (-1e9, None))
         return Pose(self._poses[side][1], place if now - seen < BALL_GONE else None)
+
+
+def _fits_srg(figures: Srg) -> bool:
+    n = len(figures.k)
+    wanted = len(figures.signals) * n
+    return (len(figures.alikeness), len(figures.joint)) == (wanted, n) and len(figures.rig_joint) in (0, n)
+
+
+def _fits_tunnel(sample: TunnelSample) -> bool:
+    parts = (sample.mean, sample.lower, sample.upper, sample.simulated, sample.alike)
+    return all(len(part) == len(sample.signals) for part in parts)
 
 
 def _health(counters: LiveCounters) -> Health:

@@ -2,6 +2,7 @@
 """Serves the page to watch, and does what it is asked for there."""
 
 import argparse
+import os
 import signal
 import sys
 import time
@@ -132,7 +133,7 @@ class Monitor(TunnelNode):
         self._simulation = SimulationClient(self)
         self._verdicts = self.create_publisher(Diagnosis, "srg/diagnosis", latched())
         self._player_seen = time.monotonic()
-        out = Path(folder).expanduser().resolve()
+        out = Path(os.path.expanduser(folder)).resolve()
         self._session = Session(self._state, self._steps, self, out, model, candidates)
         token = token or (new_token() if ask_token else "")
         self._server = MonitorServer(self._state, host, port, token, self._session.ask, self._session.reports)

@@ -2,6 +2,7 @@
 """The course of one run: return to the initial pose, wait for rest, play, mark, and so on for every trial."""
 
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,6 +28,7 @@ FEEDBACK = 0.2  # s between two reports of progress
 TAIL = 0.3  # s of recording after each trial, so that its last sample has a neighbour to interpolate with
 REPEATS = 3  # times a trial is begun anew after a stall of this process
 STALE = 10.0  # s between the stamps of a side and the player's clock from which both cannot be meant to be one
+MOST_TRIALS = 100_000  # of each command; the parameter's bound, which the reference reads as it stands
 RECORD_TIMEOUT = 60.0  # s; a slow disk and a busy machine need some to close a bag
 
 
@@ -206,6 +208,8 @@ class SequencePlayer:
         """
         self.check(sequence)
         trials = trials or sequence.trials
+        if trials > MOST_TRIALS:
+            raise InputError(f"{trials} trials of each command; expected at most {MOST_TRIALS}.")
         run = Run(sequence, trials, self._pace, tell, stopped)
         bags: list[str] = []
         for side in self._sides:
@@ -214,7 +218,7 @@ class SequencePlayer:
             self._connect(sequence.commands[0], run)
             run.hopeless = self._clock_gone
             target_folder = (
-                (Path(folder).expanduser() if folder else _free_path(self._namespace, sequence.name))
+                (Path(os.path.expanduser(folder)) if folder else _free_path(self._namespace, sequence.name))
                 if record
                 else None
             )

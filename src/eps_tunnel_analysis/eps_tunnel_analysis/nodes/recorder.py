@@ -212,7 +212,7 @@ class Recorder:
                 "`sides` to record what will come."
             )
         paths = {side: folder / f"{label}_{side}" for side in sides}
-        taken = [str(path) for path in paths.values() if path.exists()]
+        taken = [str(path) for path in paths.values() if os.path.lexists(path)]
         if taken:
             raise InputError(
                 f"{', '.join(taken)}: exists already and is not overwritten. Choose another folder or label."
@@ -225,7 +225,7 @@ class Recorder:
                 model = self.model if side == "sim" else ""
                 told = {**metadata, "side": side, "model": model, **_versions(self._distro)}
                 writers[side] = BagWriter(path, told, self._distro)
-        except (InputError, RecordingError) as error:
+        except (InputError, OSError) as error:  # of a name, too, that no file system takes
             for writer in writers.values():
                 writer.close()
             raise InputError(str(error)) from error

@@ -54,9 +54,14 @@ def windows(recording: Recording, channels: ChannelMap, notes: list[str]) -> lis
     """The marked trials of a recording, or one that spans it; adds what was left out to `notes`.
 
     Raises:
-        InputError: the recording has marks, but no trial that was played to its end.
+        InputError: nothing is measured, or the recording has marks, but no trial that was played to its end.
     """
     topics = {source.topic for source in channels.signals}
+    if not topics:
+        raise InputError(
+            f"{recording.path}: nothing that the rig measures is in it. Say in the rig's file, by `measured`, what is, "
+            "or leave --rig out."
+        )
     sides = {topic.rpartition("/")[0] for topic in topics}
     marks = [mark for mark in recording.marks if mark.topic.rpartition("/")[0] in sides]
     if marks:

@@ -70,7 +70,12 @@ def main(arguments: list[str] | None = None) -> None:
         if given.reveal is not None:
             write_new(given.reveal, json.dumps(loaded.revealed(), indent=2) + "\n")
         if given.bag is not None:
-            offline(loaded, given.bag, given.commands, given.trials, seed, given.with_ball)
+            try:
+                offline(loaded, given.bag, given.commands, given.trials, seed, given.with_ball)
+            except BaseException:
+                if given.reveal is not None:
+                    given.reveal.unlink()  # of a rig that nobody recorded
+                raise
             return
         run(loaded, given, given.link_dir or default_link_dir(), seed)
     except (InputError, HardwareError) as error:
