@@ -80,7 +80,10 @@ def crossing_heights(position: np.ndarray, layout: Layout) -> np.ndarray:
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_ball_never_tunnels_in_ten_minutes_of_violent_tilting(name: str) -> None:
-    """Ten on all layouts together. Full torque, thrown about every 10 to 150 ms: balls fly over walls, none through one."""
+    """Ten on all layouts together, full torque, thrown about every 10 to 150 ms.
+
+    Balls fly over walls, but none passes through one or the floor.
+    """
     layout = LAYOUTS[name]
     played = Played(layout, mujoco.MjSpec.from_string(labyrinth_xml(layout)), seed=3)
     holes = hops = 0
