@@ -43,13 +43,27 @@ def _realtime(item: pytest.Item) -> bool:
     return item.get_closest_marker("realtime") is not None
 
 
+def _shared(item: pytest.Item) -> str:
+    """A name for those tests of a file that share its fixtures with the same parameters; empty without any."""
+    definitions = item._fixtureinfo.name2fixturedefs
+    names = [name for name, (*_, last) in definitions.items() if last.scope != "function" and last.baseid]
+    given = getattr(getattr(item, "callspec", None), "indices", {})
+    return " ".join([item.path.stem, *(f"{name}={given[name]}" for name in names if name in given)]) if names else ""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With workers, one takes all real-time tests, each of which wants most of the machine, the others the rest."""
+    """With workers, one takes all real-time tests, each of which wants most of the machine, the others the rest.
+
+    Of the rest, one worker takes what needs the same fixture of a file, so that it is made once.
+    """
     items.sort(key=lambda item: not _realtime(item))
     marks = []
     if config.pluginmanager.hasplugin("xdist"):
         marks.append(pytest.mark.xdist_group("realtime"))
+        for item in items:
+            if not _realtime(item) and (shared := _shared(item)):
+                item.add_marker(pytest.mark.xdist_group(shared))
     if config.pluginmanager.hasplugin("rerunfailures") and not config.option.usepdb:
         marks.append(pytest.mark.flaky(reruns=RERUNS))
     for item in items:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sequence file that the tests of the loop play: short, and yet it excites what they look for."""
+"""The sequence files that the tests of the loop play: short, and yet they excite what is looked for."""
 
 SHORT = """
 description: Four seconds on one axis.
@@ -14,4 +14,13 @@ command:
     - step: {to_deg: 0, lasts_s: 0.4}
   motor_y:
     - hold: {lasts_s: 4.0}
+"""
+
+# For the tests against real time, which look for one strong effect.
+SHORTER = """
+description: Two seconds on one axis.
+initial_deg: {motor_x: 0, motor_y: 0}
+command:
+  motor_x: [{hold: {lasts_s: 0.2}}, {step: {to_deg: 3, lasts_s: 0.6}}, {ramp: {to_deg: -3, lasts_s: 1.2}}]
+  motor_y: [{hold: {lasts_s: 2.0}}]
 """

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -24,6 +25,7 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
 }
 
 
+@cache
 def modules(package: str) -> list[Path]:
     return sorted((ROOT / "src" / package / package).rglob("*.py"))
 
@@ -33,9 +35,19 @@ def name_of(file: Path, package: str) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@cache
+def tree(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"), str(file))
+
+
+@cache
+def names(package: str) -> set[str]:
+    return {name_of(file, package) for file in modules(package)}
+
+
 def imported(file: Path) -> Iterator[str]:
     """First part of the name of every module that a file imports, wherever in the file."""
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file))):
+    for node in ast.walk(tree(file)):
         if isinstance(node, ast.Import):
             yield from (alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -101,8 +113,8 @@ def imports_within(file: Path, package: str) -> Iterator[tuple[str, str]]:
 
     A module that is itself imported, as by `from package.folder import module`, comes with the name "".
     """
-    known = {name_of(f, package) for f in modules(package)}
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file))):
+    known = names(package)
+    for node in ast.walk(tree(file)):
         found: list[tuple[str, str]] = []
         if isinstance(node, ast.Import):
             found = [(alias.name, "") for alias in node.names]
@@ -167,7 +179,7 @@ def test_a_name_stands_for_one_class(package: str) -> None:
     classes = (
         (node.name, str(file.relative_to(ROOT)))
         for file in modules(package)
-        for node in ast.parse(file.read_text(encoding="utf-8"), str(file)).body
+        for node in tree(file).body
         if isinstance(node, ast.ClassDef)
     )
     assert repeated(classes) == {}

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make s
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from short_sequence import SHORT
+from short_sequence import SHORTER
 
 from eps_tunnel_analysis.nodes.demo import main as run_demo
 from eps_tunnel_analysis.nodes.rig_processes import executable
@@ -52,7 +52,7 @@ def children(parent: int) -> list[int]:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     """A whole demo of two trials and again two: its folder and what it printed to stdout and stderr."""
     out = tmp_path_factory.mktemp("demo")
-    (out / "short.yaml").write_text(SHORT)
+    (out / "short.yaml").write_text(SHORTER)
     short = ("--sequence", str(out / "short.yaml"), "--trials", "2")
     process = demo(out, *short, *FEW, "--effect", "gravity_load.x=strong", "--seed", "3")
     try:

@@ -20,7 +20,7 @@ from labyrinth_sim.model import load_model
 from labyrinth_sim.yaml_file import parse_yaml, yaml_text
 
 BENCHMARK = Path(__file__).resolve().parents[1] / "benchmarks" / "hostile.py"
-TRIES, SEED = 120, 1_000_000
+TRIES, SEED = 80, 1_000_000
 steady = settings(max_examples=25, deadline=None, derandomize=True, database=None,
                   suppress_health_check=[HealthCheck.too_slow])  # fmt: skip
 

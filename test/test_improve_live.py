@@ -14,7 +14,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make s
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from short_sequence import SHORT
+from short_sequence import SHORTER
 
 from eps_tunnel_analysis.cli.main import main
 from eps_tunnel_analysis.recording.decode import read
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.realtime
 
 
 def started(folder: Path, *options: str) -> subprocess.Popen[str]:
-    (folder / "short.yaml").write_text(SHORT)
+    (folder / "short.yaml").write_text(SHORTER)
     command = [
         sys.executable, "-m", "eps_tunnel_analysis.cli", "improve", "--live", "--emulated", "--hide",
         "gravity_load.x=strong", "--model", "labyrinth_manual", "--sequence", str(folder / "short.yaml"), "--trials",

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from browser import Page, browser, chromium
 from nodes_under_test import PATIENCE, Workplace, free_port, workplace
-from short_sequence import SHORT
+from short_sequence import SHORTER
 
 from eps_tunnel_analysis.nodes.monitor_node import main
 from eps_tunnel_analysis.nodes.rig_processes import executable
@@ -82,7 +82,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory, module_domain: int) -> Ite
         pytest.skip("needs Chromium or Chrome; name it by $CHROMIUM")
     folder = tmp_path_factory.mktemp("monitor")
     (folder / "config" / "sequences").mkdir(parents=True)
-    (folder / "config" / "sequences" / "short.yaml").write_text(SHORT + "trials: 2\n")
+    (folder / "config" / "sequences" / "short.yaml").write_text(SHORTER + "trials: 2\n")
     ports = folder / "ports"
     ports.mkdir()
     with workplace(folder / "nodes", module_domain) as place:

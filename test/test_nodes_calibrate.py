@@ -24,7 +24,6 @@ from labyrinth_hw.testbed.offline import run_offline
 from labyrinth_msgs.action import Calibrate
 from labyrinth_sim.model import load_model
 
-pytestmark = pytest.mark.realtime
 SHORT = """
 initial_deg: {motor_x: 0, motor_y: 0}
 command:

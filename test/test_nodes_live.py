@@ -18,6 +18,7 @@ from nodes_under_test import Workplace, workplace
 from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from short_sequence import SHORTER
 
 from eps_tunnel_analysis.nodes.messages import to_time
 from eps_tunnel_analysis.sequence_file import parse_sequence
@@ -115,18 +116,10 @@ def test_every_mishap_is_counted_and_told(place: Workplace) -> None:
     assert f"stamps on {TOPIC} jumped" in (place.folder / "logs" / "analysis_node.log").read_text()
 
 
-SEQUENCE = """
-initial_deg: {motor_x: 0, motor_y: 0}
-command:
-  motor_x: [{hold: {lasts_s: 0.2}}, {step: {to_deg: 3, lasts_s: 0.6}}, {ramp: {to_deg: -3, lasts_s: 1.2}}]
-  motor_y: [{hold: {lasts_s: 2.0}}]
-"""
-
-
 def bag(folder: Path) -> Path:
     """Three trials of the emulated rig with an unbalanced board."""
     rig = load_testbed("healthy", ["gravity_load.x=strong"])
-    command = parse_sequence(yaml.safe_load(SEQUENCE), "two", "two").commands[0]
+    command = parse_sequence(yaml.safe_load(SHORTER), "two", "two").commands[0]
     run = run_offline(rig, *command.sample(100.0), 3, 1)
     return write_bag(folder / "two_real", run, "two", "c" * 64)
 

@@ -91,7 +91,7 @@ def test_best_effort_and_latched_topics_are_recorded_as_offered(rig: Rig) -> Non
 def test_a_recording_without_joint_states_is_an_error_that_says_why(rig: Rig) -> None:
     # Reliability is fixed by a parameter, so the node must stay deaf to this publisher, and say so.
     deaf = "qos_overrides./real/joint_states.subscription.reliability:=reliable"
-    rig.begin("--ros-args", "-p", deaf, "-p", "connect_timeout:=4.0")
+    rig.begin("--ros-args", "-p", deaf, "-p", "connect_timeout:=2.0")
     rig.publish(JointState, "/real/joint_states", BEST_EFFORT, name=["motor_x"], position=[0.1])
     assert (started := rig.ask(True, label="deaf", sides=["real"])).success, started.message
     rig.spin_for(25)

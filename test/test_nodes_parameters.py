@@ -4,17 +4,20 @@
 import os
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
 
-from eps_tunnel_analysis.nodes.rig_processes import executable  # noqa: E402
+from rcl_interfaces.srv import GetParameters  # noqa: E402
 
-pytestmark = pytest.mark.realtime
+from eps_tunnel_analysis.nodes import analysis_node, player  # noqa: E402
+from eps_tunnel_analysis.nodes.rig_processes import executable  # noqa: E402
 
 
 def started(domain: int, name: str, *options: str) -> subprocess.CompletedProcess[str]:
@@ -31,20 +34,31 @@ def test_without_a_rig_the_player_says_who_is_missing(domain: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "parameter", "told"),
+    ("node", "parameter", "told"),
     [
-        ("player", "rate:=0.1", "Parameter 'rate': expected double from 1 to 1000 [Hz], got 0.1"),
-        ("player", "sequense:=paper_8s", "Did you mean 'sequence'?"),
-        ("player", "sides:=[left]", "Unknown side 'left'"),
-        ("player", "sequence:=nothing", "Unknown sequence 'nothing'"),
-        ("analysis_node", "ks:=[1.0, 1.0]", "Parameter 'ks': expected different numbers"),
-        ("analysis_node", "max_gap:=text", "Parameter 'max_gap': expected double"),
+        (player, "rate:=0.1", "Parameter 'rate': expected double from 1 to 1000 [Hz], got 0.1"),
+        (player, "sequense:=paper_8s", "Did you mean 'sequence'?"),
+        (player, "sides:=[left]", "Unknown side 'left'"),
+        (player, "sequence:=nothing", "Unknown sequence 'nothing'"),
+        (analysis_node, "ks:=[1.0, 1.0]", "Parameter 'ks': expected different numbers"),
+        (analysis_node, "max_gap:=text", "Parameter 'max_gap': expected double"),
     ],
 )
-def test_a_wrong_parameter_is_refused_with_exit_code_2(domain: int, name: str, parameter: str, told: str) -> None:
-    done = started(domain, name, "-p", parameter)
-    assert done.returncode == 2
-    assert told in done.stderr
+def test_a_wrong_parameter_is_refused_with_exit_code_2(
+    domain: int,
+    node: ModuleType,
+    parameter: str,
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    before = sys.getswitchinterval()
+    try:
+        assert node.main(["--ros-args", "-p", parameter]) == 2
+    finally:
+        sys.setswitchinterval(before)
+    assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("namespace", ["", "/rig1"])
@@ -66,13 +80,15 @@ def test_a_node_ends_on_a_signal_where_no_clock_runs(domain: int, tmp_path: Path
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=domain)
     watcher = rclpy.create_node("watcher", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    spins = watcher.create_client(GetParameters, f"/{name}/get_parameters")
     node = subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     try:
         end = time.monotonic() + 120.0
-        while name not in watcher.get_node_names():
+        while not spins.service_is_ready():
             assert time.monotonic() < end and node.poll() is None
             time.sleep(0.05)
-        time.sleep(1.0)  # until it spins
+        rclpy.spin_until_future_complete(watcher, spins.call_async(GetParameters.Request()), executor)
         node.send_signal(how)
         _, errors = node.communicate(timeout=120)
     finally:

@@ -104,7 +104,8 @@ def test_a_sequence_is_played_and_recorded_by_the_simulation_s_clock(simulation:
 
 def test_a_player_by_another_clock_than_the_simulation_s_refuses_to_play(simulation: Simulation) -> None:
     simulation.begin(real_time_factor=2.0)
-    simulation.start("eps_tunnel_analysis", "player", sides="[sim]", connect_timeout=10.0)
+    simulation.until(lambda: simulation.states)
+    simulation.start("eps_tunnel_analysis", "player", sides="[sim]", connect_timeout=4.0)
     result = simulation.play()
     assert not result.success
     assert "use_sim_time:=true" in result.message

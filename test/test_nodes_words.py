@@ -58,7 +58,6 @@ def test_words_that_nobody_understands_are_refused_in_one_line(
     assert ".c:" not in error.splitlines()[-1]
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("name", NODES)
 def test_a_misspelt_parameter_is_refused(name: str, domain: int) -> None:
     package = NODES[name][0]

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import signal
 
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.shown import shown
@@ -112,8 +111,9 @@ class Triangle(Swing):
     frequency: float = _number("Hz", gt=0.0, le=FASTEST_SHAPE)
 
     def values(self, t: Array, base: float) -> Array:
-        wave = signal.sawtooth(2 * np.pi * self.frequency * t + np.pi / 2, width=0.5)
-        return base + self.amplitude * np.asarray(wave, dtype=np.float64)
+        phase = np.mod(2 * np.pi * self.frequency * t + np.pi / 2, 2 * np.pi)
+        wave = np.where(phase < np.pi, phase / (0.5 * np.pi) - 1, (1.5 * np.pi - phase) / (0.5 * np.pi))
+        return np.asarray(base + self.amplitude * wave)
 
 
 @dataclass(frozen=True)
@@ -125,6 +125,8 @@ class Chirp(Swing):
     end_frequency: float = _number("Hz", ge=0.0, le=FASTEST_SHAPE)
 
     def values(self, t: Array, base: float) -> Array:
+        from scipy import signal  # a second to import, and most sequences need it not
+
         # The phase of -90 degrees makes a sine of scipy's cosine.
         wave = signal.chirp(t, f0=self.start_frequency, t1=self.lasts, f1=self.end_frequency, phi=-90)
         return base + self.amplitude * np.asarray(wave, dtype=np.float64)
@@ -139,6 +141,8 @@ class Prbs(Swing):
     register: int = _number("1", ge=2, le=16)
 
     def values(self, t: Array, base: float) -> Array:
+        from scipy import signal  # see Chirp
+
         bits = np.asarray(signal.max_len_seq(self.register)[0], dtype=np.float64)
         # The small term keeps a bit that starts on a sample from falling to the sample before it by rounding.
         index = np.floor(t / self.bit + 1e-9).astype(int) % len(bits)

@@ -19,12 +19,6 @@ def truth(hidden: Sequence[Mapping[str, Any]]) -> str:
     return " + ".join(sorted(f"{effect}.{place}" for effect, found in places.items() for place in found))
 
 
-def hidden_in_words(hidden: Sequence[Mapping[str, Any]]) -> str:
-    """What was hidden, in words."""
-    words = [f"{item['effect']} on {item['axis']} ({item['strength']})" for item in hidden]
-    return ", ".join(words) or "nothing"
-
-
 def judged(
     hidden: Sequence[Mapping[str, Any]], effects: Sequence[str], ending: str, stated: Sequence[str], registry: Registry
 ) -> str:

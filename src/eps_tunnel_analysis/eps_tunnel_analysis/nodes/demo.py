@@ -14,9 +14,9 @@ from eps_tunnel_analysis.loop.experimenter import Added, Experimenter, Plan, Pla
 from eps_tunnel_analysis.loop.gap import Gap
 from eps_tunnel_analysis.loop.reason import DiagnosisOptions, Reason
 from eps_tunnel_analysis.loop.rig import Bags, RigFailed
-from eps_tunnel_analysis.loop.truth import hidden_in_words, judged
+from eps_tunnel_analysis.loop.truth import judged
 from eps_tunnel_analysis.nodes.live_improvement import rig_over_ros
-from eps_tunnel_analysis.nodes.rig_processes import DRAW, EmulatedRig, hidden_in
+from eps_tunnel_analysis.nodes.rig_processes import DRAW, EmulatedRig, hidden_in, hidden_in_words
 from eps_tunnel_analysis.outputs import numbered_folder, shown_value
 from eps_tunnel_analysis.processes import TIMING, spare_threads
 from eps_tunnel_analysis.report.next_step import after_comparison, next_commands

@@ -11,9 +11,9 @@ from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan
 from eps_tunnel_analysis.loop.notebook import Notebook
 from eps_tunnel_analysis.loop.rig import RigFailed
-from eps_tunnel_analysis.loop.truth import hidden_in_words, judged
+from eps_tunnel_analysis.loop.truth import judged
 from eps_tunnel_analysis.nodes.rig_client import RigClient
-from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, rig_processes
+from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, hidden_in_words, rig_processes
 from eps_tunnel_analysis.processes import ProcessDied
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model

@@ -13,7 +13,6 @@ from typing import Any
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
-from eps_tunnel_analysis.loop.truth import hidden_in_words
 from eps_tunnel_analysis.monitor.access import SHORTEST_TOKEN, is_loopback, new_token
 from eps_tunnel_analysis.monitor.server import MonitorServer
 from eps_tunnel_analysis.monitor.session import Session
@@ -21,7 +20,7 @@ from eps_tunnel_analysis.monitor.state import State, Steps
 from eps_tunnel_analysis.nodes.common import TunnelNode, run_node
 from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched, nanoseconds
 from eps_tunnel_analysis.nodes.monitor_inputs import Inputs
-from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, rig_processes
+from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, hidden_in_words, rig_processes
 from eps_tunnel_analysis.outputs import numbered_folder
 from eps_tunnel_analysis.processes import ProcessDied, Processes
 from labyrinth_msgs.action import PlaySequence

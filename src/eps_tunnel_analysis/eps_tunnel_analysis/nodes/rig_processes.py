@@ -6,7 +6,7 @@ import os
 import socket
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,6 +116,12 @@ def hidden_in(folder: Path) -> list[dict[str, Any]]:
     path = folder / "hidden.json"
     found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["hidden"] if path.exists() else []
     return found
+
+
+def hidden_in_words(hidden: Sequence[Mapping[str, Any]]) -> str:
+    """What was hidden, in words."""
+    words = [f"{item['effect']} on {item['axis']} ({item['strength']})" for item in hidden]
+    return ", ".join(words) or "nothing"
 
 
 def _wait_for_ports(folder: Path, processes: Processes) -> None:
