@@ -32,6 +32,7 @@ TOKEN = "a-token-that-is-long"
 FEW = "[gravity_load, return_spring]"
 IDLE = "!document.getElementById('diagnose').disabled"
 BUSY = "document.getElementById('diagnose').disabled"
+MOVED = "document.getElementById('what-if-word').textContent"
 JOINT = "parseFloat(document.getElementById('joint').textContent)"
 
 
@@ -112,6 +113,16 @@ def test_the_loop_goes_round_in_a_browser(watched: Watched) -> None:
         watched.play()
         before = page.evaluate(JOINT)
         assert page.evaluate("document.querySelectorAll('#tunnels .uplot').length") == 4
+        page.choose("what-if-name", "gravity_load.x.moment", "change")
+        watched.until(f"{MOVED}.includes('in the model')")
+        page.choose("what-if-value", "-0.0125", "input")
+        watched.until(f"{MOVED}.includes('instead of 0:')")
+        with_load, without = map(float, re.findall(r"([0-9.]+) %", str(page.evaluate(MOVED))))
+        page.choose("what-if-value", "0.0125", "input")
+        watched.until(f"{MOVED}.startsWith('0.0125')")
+        other = float(re.findall(r"([0-9.]+) %", str(page.evaluate(MOVED)))[0])
+        assert max(with_load, other) > without  # one of the two directions is that of the hidden load
+        page.choose("what-if-name", "", "change")
         page.click("diagnose")
         watched.until("document.getElementById('adding').hidden == false && " + IDLE)
         assert "gravity load" in page.evaluate("document.getElementById('sentence').textContent")

@@ -2,6 +2,7 @@
 """What the page does with what it is told, in a real browser; the state is filled by hand, no rig and no ROS."""
 
 import json
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from browser import Page, browser, chromium
+from short_sequence import SHORT
 
 from eps_tunnel_analysis.monitor.parts import (
     Connections,
@@ -26,8 +28,14 @@ from eps_tunnel_analysis.monitor.parts import (
     Scene,
     VerdictPart,
 )
+from eps_tunnel_analysis.monitor.requests import Request, WhatIfRequest
+from eps_tunnel_analysis.monitor.reruns import Reruns
 from eps_tunnel_analysis.monitor.server import MonitorServer
 from eps_tunnel_analysis.monitor.state import State
+from eps_tunnel_analysis.sequence_file import find_sequence
+from labyrinth_hw.testbed.bags import write_bag
+from labyrinth_hw.testbed.hidden import load_testbed
+from labyrinth_hw.testbed.offline import run_offline
 
 SIGNALS = ("motor_x", "board_x")
 DURATION = 2.0  # s
@@ -217,3 +225,68 @@ def test_a_trial_that_is_not_kept_is_not_found(shown: Shown) -> None:
     shown.play(2)
     shown.until(f"{CHARTS} == 2")
     assert json.loads(shown.page.evaluate("fetch('/trial/9').then(a => JSON.stringify(a.status))")) == 404
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of the emulated rig: three trials of four seconds."""
+    folder = tmp_path_factory.mktemp("played")
+    (folder / "short.yaml").write_text(SHORT + "trials: 3\n")
+    (command,) = find_sequence(str(folder / "short.yaml")).commands
+    times, steps = command.sample(100.0)
+    run = run_offline(load_testbed("healthy"), times, steps, 3, 1)
+    return Path(write_bag(folder / "bag_real", run, command.name, command.hash))
+
+
+def test_a_slider_moves_a_value_and_the_simulation_follows(opened: Page, played: Path) -> None:
+    state = State()
+    reruns = Reruns(state)
+
+    def asked(request: Request) -> None:
+        assert isinstance(request, WhatIfRequest)
+        reruns.ask(request.name, request.value) if request.name else reruns.end()
+
+    server = MonitorServer(state, "127.0.0.1", 0, "", asked, {})
+    shown = Shown(state, opened)
+    word, joint = "document.getElementById('what-if-word').textContent", "document.getElementById('joint').textContent"
+    try:
+        opened.look(1280, 900, dark=False)
+        opened.troubles.clear()
+        opened.open(server.address)
+        opened.until("document.getElementById('away')?.hidden")
+        assert opened.evaluate("document.getElementById('what-if-card').hidden")
+        shown.play(3)
+        opened.until(f"{CHARTS} == 2")
+        reruns.use([played], "labyrinth_mx64")
+        opened.until("!document.getElementById('what-if-card').hidden")
+        opened.choose("what-if-name", "drive.x.p", "change")
+        opened.until(f"{word}.startsWith('20 1/s in the model')")
+        opened.until(f"{CHARTS} == 4")  # the four signals of the bag, instead of the two that were live
+        as_it_is, red = percent(opened.evaluate(joint)), shown.red()
+        assert percent(opened.evaluate(word)) == as_it_is
+        opened.choose("what-if-value", "10", "input")
+        opened.until(f"{word}.startsWith('10 1/s instead of 20')")
+        opened.until("document.getElementById('joint-before').textContent.includes('labyrinth_mx64')")
+        assert percent(opened.evaluate(joint)) < as_it_is - 5
+        assert percent(opened.evaluate("document.getElementById('joint-before').textContent")) == as_it_is
+        opened.until("document.getElementById('tunnel-what').textContent.startsWith('Simulated anew')")
+        assert shown.red() > red
+        for width in (360, 1600):
+            opened.look(width, 800, dark=False)
+            assert opened.until("document.documentElement.scrollWidth <= innerWidth"), width
+        shown.play(3)  # what comes meanwhile does not take the picture away
+        opened.choose("what-if-name", "", "change")
+        opened.until(f"{CHARTS} == 2")
+        opened.until(f"{joint} == '50.0 %'")
+        assert opened.evaluate(word) == ""
+    finally:
+        server.close()
+        reruns.close()
+    assert [trouble for trouble in opened.troubles if "/live" not in trouble] == []
+
+
+def percent(text: str) -> float:
+    """The first share in a text, in %."""
+    found = re.search(r"([0-9.]+) %", text)
+    assert found, text
+    return float(found[1])

@@ -24,6 +24,7 @@ from eps_tunnel_analysis.monitor.requests import (
     PlayRequest,
     Request,
     StopRequest,
+    WhatIfRequest,
     parse_request,
 )
 from eps_tunnel_analysis.monitor.server import MonitorServer
@@ -144,7 +145,7 @@ def test_a_foreign_name_that_points_here_gets_nothing(local: Served, host: str) 
 
 def test_a_server_for_other_machines_asks_for_the_token(guarded: Served) -> None:
     origin = f"http://{guarded.host}"
-    for path in ("/", "/static/page.js", "/report/1", "/?token=wrong", "/static/index.html?token="):
+    for path in ("/", "/static/page.js", "/report/1", "/what_if", "/?token=wrong", "/static/index.html?token="):
         assert guarded.get(path)[0] == 403, path
     assert guarded.refused(Origin=origin) == 403
     assert guarded.refused("/live?token=wrong", Origin=origin) == 403
@@ -212,7 +213,10 @@ def test_a_port_in_use_is_told(local: Served) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [('{"do": "arm", "on": true}', ArmRequest(True)), ('{"do": "diagnose"}', DiagnoseRequest()),
-     ('{"do": "add", "names": ["backlash.x", "gravity_load.y"]}', AddRequest(("backlash.x", "gravity_load.y")))],
+     ('{"do": "add", "names": ["backlash.x", "gravity_load.y"]}', AddRequest(("backlash.x", "gravity_load.y"))),
+     ('{"do": "what_if", "name": "drive.x.p", "value": 12}', WhatIfRequest("drive.x.p", 12.0)),
+     ('{"do": "what_if", "name": "belt.x.a.b", "value": null}', WhatIfRequest("belt.x.a.b", None)),
+     ('{"do": "what_if", "name": ""}', WhatIfRequest("", None))],
 )  # fmt: skip
 def test_requests_are_read(text: str, expected: Request) -> None:
     assert parse_request(text) == expected
@@ -227,6 +231,15 @@ def test_requests_are_read(text: str, expected: Request) -> None:
         json.dumps({"do": "add", "names": ["gravity_load.y", "--effects", "/dir"]}),
         json.dumps({"do": "add", "names": ["../gravity_load.y"]}),
         json.dumps({"do": "add", "names": ["gravity_load.y"] * 1000}),
+        json.dumps({"do": "what_if", "name": "../../etc", "value": 1}),
+        json.dumps({"do": "what_if", "name": "drive.x.p\n", "value": 1}),
+        json.dumps({"do": "what_if", "name": ["drive.x.p"], "value": 1}),
+        json.dumps({"do": "what_if", "value": 1}),
+        json.dumps({"do": "what_if", "name": "drive.x.p", "value": True}),
+        json.dumps({"do": "what_if", "name": "drive.x.p", "value": "1"}),
+        '{"do": "what_if", "name": "drive.x.p", "value": NaN}',
+        '{"do": "what_if", "name": "drive.x.p", "value": -Infinity}',
+        '{"do": "what_if", "name": "drive.x.p", "value": 1' + "0" * 400 + "}",
     ],
 )
 def test_a_request_made_to_break_something_is_refused(text: str) -> None:
@@ -249,9 +262,9 @@ def test_a_nested_request_leaves_the_connection_open(local: Served) -> None:
 
 
 JSON = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.text(max_size=5) | st.sampled_from(["play", "add", "arm"]),
+    st.none() | st.booleans() | st.floats() | st.text(max_size=5) | st.sampled_from(["play", "add", "arm", "what_if"]),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(
-        st.sampled_from(["do", "sequence", "trials", "names", "on"]), inner, max_size=4),
+        st.sampled_from(["do", "sequence", "trials", "names", "on", "name", "value"]), inner, max_size=4),
 )  # fmt: skip
 
 

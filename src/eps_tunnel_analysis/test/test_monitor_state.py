@@ -10,11 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fit_cases import bag_of, plays
 from hypothesis import given
 from hypothesis import strategies as st
 
 from eps_tunnel_analysis.monitor.parts import Health, floor_of, rig_of
-from eps_tunnel_analysis.monitor.requests import AddRequest, ArmRequest, DiagnoseRequest, PlayRequest, StopRequest
+from eps_tunnel_analysis.monitor.requests import (
+    AddRequest,
+    ArmRequest,
+    DiagnoseRequest,
+    PlayRequest,
+    StopRequest,
+    WhatIfRequest,
+)
 from eps_tunnel_analysis.monitor.session import Session
 from eps_tunnel_analysis.monitor.state import (
     BRIDGED,
@@ -30,6 +38,7 @@ from eps_tunnel_analysis.monitor.state import (
 from eps_tunnel_analysis.tasks import AddTask, run_task
 from labyrinth_sim.ball import BallGame
 from labyrinth_sim.build import compiled
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 
 PATIENCE = 90.0  # s
@@ -314,6 +323,45 @@ def test_effects_that_are_added_are_those_of_the_library_only(bench: Bench, tmp_
     task = AddTask(bags=tuple(map(Path, bags)), model="labyrinth_manual", out=tmp_path / "m.yaml", names=words[:1])
     assert run_task(task, lambda _: None, lambda: False).content is None
     assert not ran.exists()
+
+
+def test_a_value_is_moved_over_the_bags_of_the_last_run(bench: Bench, tmp_path: Path) -> None:
+    def answer() -> dict[str, Any]:
+        return dict(bench.state.changes(-1)[0]["whatif"])
+
+    with pytest.raises(InputError, match="Play a sequence first"):
+        bench.session.ask(WhatIfRequest("drive.x.p", 10.0))
+    bags = [str(bag_of(tmp_path / f"{i}_real", plays((3.0,), noise=1e-3 * (i + 1))[0].trials)) for i in range(2)]
+    bench.session.played(True, "Played.", bags)
+    offered = {a["name"]: a for a in bench.state.changes(-1)[0]["adjustables"]["values"]}
+    assert offered["drive.x.p"]["given"] == 20.0
+    with pytest.raises(InputError, match="Unknown parameter"):
+        bench.session.ask(WhatIfRequest("drive.x.q", 10.0))
+    bench.do(WhatIfRequest("drive.x.p", None))
+    bench.until(lambda: answer()["number"] == 1)
+    assert (answer()["value"], answer()["before"], answer()["gap"]["trials"]) == (20.0, None, 2)
+    assert answer()["gap"]["model"] == "labyrinth_manual"
+    bench.do(WhatIfRequest("drive.x.p", 1.0))
+    bench.until(lambda: answer()["number"] == 2)
+    told, table = answer(), bench.state.what_if()
+    assert table is not None
+    assert told["before"]["joint"][-1] > told["gap"]["joint"][-1] + 0.2
+    assert (table["number"], table["signals"], len(table["rows"])) == (2, list(told["gap"]["signals"]), 61)
+    motor = table["rows"][60][1 + table["signals"].index("motor_x")]
+    assert motor[3] < motor[1] - 0.005 and motor[4] == pytest.approx(motor[0], abs=0.005) and motor[5] == 0
+    assert "must lie within" in complaint_after(bench, WhatIfRequest("drive.x.p", 1000.0))
+    bench.do(WhatIfRequest("", None))
+    assert answer()["gap"] is None and bench.state.what_if() is None
+    bench.playing = True
+    with pytest.raises(InputError, match="disturb"):
+        bench.session.ask(WhatIfRequest("drive.x.p", 10.0))
+
+
+def complaint_after(bench: Bench, request: Any) -> str:
+    """The next entry of the log after a request whose answer comes from another thread."""
+    before = bench.do(request)
+    bench.until(lambda: bench.state.changes(-1)[0]["log"]["entries"][-1][3] != before)
+    return str(bench.state.changes(-1)[0]["log"]["entries"][-1][3])
 
 
 def test_the_floor_is_that_of_the_ball_game() -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from eps_tunnel_analysis.values.what_if import Adjustable
 from labyrinth_sim.build import compiled
 from labyrinth_sim.model import Model
 
@@ -196,6 +197,36 @@ class Health:
 
 
 @dataclass(frozen=True)
+class Adjustables:
+    """Values of the model that runs which can be moved over the last run's recordings; none before there are any."""
+
+    values: tuple[Adjustable, ...]
+
+
+@dataclass(frozen=True)
+class WhatIfPart:
+    """The last command of the last run, simulated with another value of the model.
+
+    Attributes:
+        name, unit: of the value; "" where none is moved.
+        value, given: as asked for, and as the model has it.
+        told: the recorded command.
+        gap: with the value; None where none is moved.
+        before: of the model as it is.
+        number: of the trajectories that belong to it, see `State.show_what_if`.
+    """
+
+    name: str = ""
+    unit: str = ""
+    value: float = 0.0
+    given: float = 0.0
+    told: str = ""
+    gap: GapPart | None = None
+    before: Before | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
 class Past:
     """Trials that can be looked at again: number, and when the next one began, seconds since 1970; oldest first."""
 
@@ -221,6 +252,8 @@ Part = (
     | Staircase
     | Job
     | Health
+    | Adjustables
+    | WhatIfPart
     | Past
     | Log
 )

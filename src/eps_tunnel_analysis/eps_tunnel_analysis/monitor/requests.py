@@ -13,6 +13,8 @@ MOST_TRIALS = 1000
 MOST_EFFECTS = 20
 LONGEST_NAME = 1000  # characters; the path of a proposed experiment is a name too
 LONGEST_REQUEST = 10_000  # characters of a message
+LARGEST = 1e12  # size of a number; what JSON calls NaN or Infinity is none
+_PARAMETER = re.compile(r"\w{1,60}(\.\w{1,60}){1,3}", re.ASCII)
 _EFFECT = re.compile(r"\w{1,60}(\.\w{1,60})?", re.ASCII)
 
 
@@ -48,7 +50,18 @@ class AddRequest:
     names: tuple[str, ...]
 
 
-Request = ArmRequest | PlayRequest | StopRequest | DiagnoseRequest | AddRequest
+@dataclass(frozen=True)
+class WhatIfRequest:
+    """Simulates the last command of the last run with another value of the model.
+
+    name: full parameter name, "" to end it; value: in the parameter's unit, None for what the model has.
+    """
+
+    name: str
+    value: float | None
+
+
+Request = ArmRequest | PlayRequest | StopRequest | DiagnoseRequest | AddRequest | WhatIfRequest
 
 
 def parse_request(text: str | bytes) -> Request:
@@ -92,6 +105,19 @@ def _arm(content: Mapping[str, Any]) -> ArmRequest:
     return ArmRequest(content["on"])
 
 
+def _what_if(content: Mapping[str, Any]) -> WhatIfRequest:
+    name, value = content.get("name"), content.get("value")
+    if name != "" and not (isinstance(name, str) and len(name) <= LONGEST_NAME and _PARAMETER.fullmatch(name)):
+        raise InputError(f'"name" must be a parameter as drive.x.p, or "" to end it, got {name!r:.200}.')
+    if value is None:
+        return WhatIfRequest(name, None)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise InputError(
+            f'"value" must be a number below {LARGEST:g}, or null for the model\'s own, got {value!r:.200}.'
+        )
+    return WhatIfRequest(name, float(value))
+
+
 def _word(content: Mapping[str, Any], key: str) -> str:
     word = content.get(key)
     if not isinstance(word, str) or not 0 < len(word) <= LONGEST_NAME:
@@ -109,4 +135,5 @@ _READERS: dict[str, Callable[[Mapping[str, Any]], Request]] = {
     "stop": lambda _: StopRequest(),
     "diagnose": lambda _: DiagnoseRequest(),
     "add": _add,
+    "what_if": _what_if,
 }

@@ -115,11 +115,24 @@ class PastTrial(Guarded):
         self._past = past
 
     def get(self, number: str) -> None:
-        table = self._past(int(number))
-        if table is None:
-            raise tornado.web.HTTPError(404)
-        self.set_header("Content-Type", "application/json")
-        self.finish(json.dumps(table, allow_nan=False))
+        _tell_table(self, self._past(int(number)))
+
+
+class WhatIfTable(Guarded):
+    """The trajectories that belong to the value that was moved last."""
+
+    def initialize(self, table: Callable[[], dict[str, Any] | None]) -> None:
+        self._table = table
+
+    def get(self) -> None:
+        _tell_table(self, self._table())
+
+
+def _tell_table(handler: Guarded, table: dict[str, Any] | None) -> None:
+    if table is None:
+        raise tornado.web.HTTPError(404)
+    handler.set_header("Content-Type", "application/json")
+    handler.finish(json.dumps(table, allow_nan=False))
 
 
 class Live(Guarded, tornado.websocket.WebSocketHandler):
@@ -233,6 +246,7 @@ class MonitorServer:
             [
                 (r"/live", Live, {"asked": self._asked, "pages": self._pages}),
                 (r"/trial/([0-9]{1,9})", PastTrial, {"past": self._state.past}),
+                (r"/what_if", WhatIfTable, {"table": self._state.what_if}),
                 (r"/report/([0-9]{1,9})", Report, {"reports": self._reports}),
                 (r"/()", File, {"path": str(STATIC), "default_filename": "index.html"}),
                 (r"/static/(.*)", File, {"path": str(STATIC)}),

@@ -17,7 +17,9 @@ from eps_tunnel_analysis.monitor.requests import (
     PlayRequest,
     Request,
     StopRequest,
+    WhatIfRequest,
 )
+from eps_tunnel_analysis.monitor.reruns import Reruns
 from eps_tunnel_analysis.monitor.state import BY_HAND, State, Steps
 from eps_tunnel_analysis.outputs import numbered_folder
 from eps_tunnel_analysis.processes import CommandResult
@@ -156,6 +158,7 @@ class Session:
         self._registry = Registry.load()
         self._requests: queue.Queue[Request] = queue.Queue()
         self._work = Work()
+        self._reruns = Reruns(state)
         self._folder: Path | None = None
         self._made = {"play": 0, "diagnosis": 0, "model": 0}
         self._bags: tuple[str, ...] = ()
@@ -169,8 +172,21 @@ class Session:
         self._offer()
 
     def ask(self, request: Request) -> None:
-        """Takes a request; may be called from any thread."""
-        self._requests.put(request)
+        """Takes a request; may be called from any thread.
+
+        Raises:
+            InputError: a value that cannot be moved now. Such requests do not wait for the next look: a slider is
+                expected to follow at once.
+        """
+        match request:
+            case WhatIfRequest("", _):
+                self._reruns.end()
+            case WhatIfRequest(name, value):
+                if self._rig.playing:
+                    raise InputError("Wait until the run has ended: a simulation beside it would disturb it.")
+                self._reruns.ask(name, value)
+            case _:
+                self._requests.put(request)
 
     def look(self, pages: int) -> None:
         """Does what was asked for and what follows from work that ended; `pages` are open. To be called often."""
@@ -191,6 +207,7 @@ class Session:
             self._state.put(rig_of(load_model(self._model or self._steps.model)))
         except InputError as error:
             self._state.note(f"The board cannot be drawn: {error}", "error")
+        self._move_values()
 
     def progress(self, trial: int, trials: int, phase: str, share: float, left: float, duration: float) -> None:
         """How far the run is: trial from 0, `share` 0..1; `left`, and the command's `duration`, in s."""
@@ -200,6 +217,7 @@ class Session:
         """The run ended, with these bags."""
         real = tuple(bag for bag in bags if bag.endswith("_real"))
         self._bags = real or self._bags
+        self._move_values()
         self._state.note(message, "info" if success else "error")
 
     def loaded(self, success: bool, message: str) -> None:
@@ -212,10 +230,18 @@ class Session:
     def close(self) -> None:
         """Interrupts work under way."""
         self._work.close()
+        self._reruns.close()
 
     @property
     def _model(self) -> str:
         return self._steps.file or self._given_model
+
+    def _move_values(self) -> None:
+        """The values of the model that runs now, over the last run, can be moved."""
+        try:
+            self._reruns.use(tuple(map(Path, self._bags)), self._model)
+        except InputError as error:
+            self._state.note(f"No value can be moved: {error}", "error")
 
     def _do(self, request: Request) -> None:
         match request:
@@ -251,6 +277,7 @@ class Session:
         found = find_sequence(request.sequence)
         self._sequence, self._began = found.name, time.monotonic()
         self.progress(0, (request.trials or found.trials) * len(found.commands), "connecting", 0.0, 0.0, 0.0)
+        self._reruns.end()
         self._rig.play(request.sequence, request.trials, self._new("play"))
 
     def _materials(self) -> tuple[tuple[Path, ...], str]:

@@ -5,14 +5,24 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.monitor.parts import Before, GapPart, Health, Log, Part, Past, Staircase, StaircaseStep
+from eps_tunnel_analysis.monitor.parts import (
+    Before,
+    GapPart,
+    Health,
+    Log,
+    Part,
+    Past,
+    Staircase,
+    StaircaseStep,
+    WhatIfPart,
+)
 from eps_tunnel_analysis.outputs import plain
 from labyrinth_sim.trials import Array
 
@@ -110,16 +120,10 @@ class TunnelTable:
         whole = self._began > seen
         if not len(rows) and not whole:
             return None
-        values = [
-            [
-                int(row),
-                *([*_rounded(self._values[row, s]), int(self._alike[row, s])] for s in range(len(self._signals))),
-            ]
-            for row in rows
-        ]
+        told = told_rows(rows, self._values, self._alike)
         return {
             "key": self._key, "signals": list(self._signals), "step": ROW_STEP, "duration": self._duration,
-            "whole": whole, "rows": values,
+            "whole": whole, "rows": told,
         }  # fmt: skip
 
     def _clear(self, signals: tuple[str, ...]) -> None:
@@ -138,6 +142,17 @@ class TunnelTable:
             self._changed = np.concatenate([self._changed, np.full(more, -1, dtype=np.int64)])
 
 
+def told_rows(rows: Iterable[int], values: Array, inside: NDArray[np.int8]) -> list[list[Any]]:
+    """[row, [mean, lower, upper, simulated, before, inside] of each signal] of some rows.
+
+    Args:
+        values: (T, m, 5) in the order above, SI units; NaN becomes None.
+        inside: (T, m), UNSEEN, OUTSIDE, INSIDE or COLLECTING.
+    """
+    signals = range(values.shape[1])
+    return [[int(row), *([*_rounded(values[row, s]), int(inside[row, s])] for s in signals)] for row in rows]
+
+
 def _rounded(values: Array) -> list[float | None]:
     return [round(value, DIGITS) if math.isfinite(value) else None for value in values.tolist()]
 
@@ -151,6 +166,7 @@ class State:
         self._table = TunnelTable()
         self._revision = 0
         self._past: dict[int, dict[str, Any]] = {}
+        self._what_if: dict[str, Any] | None = None
 
     def put(self, part: Part) -> None:
         """Replaces the part of this kind; one that says the same as before is no change."""
@@ -183,6 +199,17 @@ class State:
         """The tunnel table as it was at the end of a trial; None where it is not kept."""
         with self._lock:
             return self._past.get(number)
+
+    def show_what_if(self, part: WhatIfPart, table: dict[str, Any] | None) -> None:
+        """Shows an answer; `table` holds its trajectories as `TunnelTable.changes` tells them, and its "number"."""
+        with self._lock:
+            self._what_if = table
+            self._put(part)
+
+    def what_if(self) -> dict[str, Any] | None:
+        """The trajectories of the answer that is shown; None where there is none."""
+        with self._lock:
+            return self._what_if
 
     def tunnel(self) -> "_Locked":
         """The tunnel table, to be used in a `with` statement."""

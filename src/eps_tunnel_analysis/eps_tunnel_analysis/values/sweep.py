@@ -145,7 +145,7 @@ def sweep(
     """
     if not 1 <= len(asked) <= 2:
         raise InputError(f"Sweep one value or two, got {len(asked)}: {', '.join(asked)}.")
-    model, notes = _with_effects(model, asked)
+    model, notes = with_effects(model, asked)
     known = {name for play in plays for name in play.known}
     values = _values(model, asked, known)
     factors = tuple(sorted({float(k) for k in ks}))
@@ -170,7 +170,7 @@ def sweep(
                 if np.isnan(own).any():
                     errors[row] = np.inf
                     continue
-                sim = build_tunnel(_as_trials(trials, own))
+                sim = build_tunnel(as_trials(trials, own))
                 errors[row] += [
                     command_error(a, b) / len(plays) for a, b in zip(tunnel.mean.T, sim.mean.T, strict=True)
                 ]
@@ -193,13 +193,13 @@ def sweep(
     )
 
 
-def _as_trials(real: Trials, values: Array) -> Trials:
+def as_trials(real: Trials, values: Array) -> Trials:
     """Simulated values (c, T, m) of one play, on its grid."""
     commands = np.broadcast_to(real.commands[:1], (len(values), *real.commands.shape[1:]))
     return Trials(real.time, real.signals, real.units, values, real.command_channels, commands)
 
 
-def _with_effects(model: Model, asked: Sequence[str]) -> tuple[Model, tuple[str, ...]]:
+def with_effects(model: Model, asked: Sequence[str]) -> tuple[Model, tuple[str, ...]]:
     """The model with the effects whose parameters are asked for, and a sentence on each that was added."""
     notes = []
     for text in asked:
@@ -228,7 +228,7 @@ def _values(model: Model, asked: Sequence[str], known: set[str]) -> tuple[SweptV
         if name in [v.name for v in found]:
             complaints.append(f"{name} is named twice; sweep two different values.")
         info = infos[name]
-        low, high = _near(info.value, info.low, info.high)
+        low, high = near(info.value, info.low, info.high)
         count = POINTS if len(asked) == 1 else POINTS_OF_A_PAIR
         if equals:
             try:
@@ -263,7 +263,7 @@ def _range(text: str, points: int) -> tuple[float, float, int]:
     return float(low), float(high), int(rest[0]) if rest else points
 
 
-def _near(value: float, low: float, high: float) -> tuple[float, float]:
+def near(value: float, low: float, high: float) -> tuple[float, float]:
     """Half to twice the value, within the bounds; all of these around a value of 0."""
     if value == 0.0:
         return low, high

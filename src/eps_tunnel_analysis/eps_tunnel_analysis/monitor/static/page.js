@@ -3,6 +3,7 @@
 import { drawBoard } from "/static/board.js";
 import { drawGap } from "/static/gap.js";
 import { Tunnels } from "/static/tunnels.js";
+import { offerValues, showWhatIf } from "/static/what_if.js";
 import { showChoices, showControls, showHealth, showLog, showNotice, showStairs, showVerdict } from "/static/panels.js";
 
 const SLOWEST = 5000; // ms between two attempts to connect
@@ -15,7 +16,7 @@ let socket = null, delay = 250, heard = 0;
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   heard = performance.now();
-  socket.onopen = () => { delay = 250; document.getElementById("away").hidden = true; tunnels.forget(); };
+  socket.onopen = () => { delay = 250; document.getElementById("away").hidden = true; tunnels.forget(); forgetWhatIf(); };
   socket.onmessage = (event) => { heard = performance.now(); take(JSON.parse(event.data)); };
   socket.onclose = () => {
     const away = document.getElementById("away");
@@ -45,9 +46,35 @@ function take(news) {
   if (news.staircase) showStairs(news.staircase.steps);
   if (news.log) showLog(news.log.entries);
   if (news.health) showHealth(news.health);
-  if (news.gap || news.before) drawGap(known.gap, known.before, known.staircase);
+  if (news.adjustables) offerValues(news.adjustables.values, ask);
+  if (news.whatif) takeWhatIf(news.whatif);
+  if (news.gap || news.before || news.whatif) showGap();
   if (news.connections || news.job || news.run || news.verdict || news.gap) showControls(known);
   draw();
+}
+
+// The gap of a value that is moved stands where that of the model is shown.
+function showGap(anew = false) {
+  const moved = known.whatif && known.whatif.gap;
+  drawGap(moved || known.gap, moved ? known.whatif.before : known.before, known.staircase, anew);
+}
+
+async function takeWhatIf(told) {
+  showWhatIf(told);
+  if (!told.gap) { tunnels.suppose(null); return; }
+  const answer = await fetch("/what_if");
+  if (!answer.ok) return;
+  const table = await answer.json();
+  if (!known.whatif || table.number !== known.whatif.number) return; // another value was answered meanwhile
+  tunnels.suppose(table);
+  draw();
+}
+
+function forgetWhatIf() {
+  known.whatif = null;
+  offerValues([], ask);
+  showWhatIf(null);
+  tunnels.suppose(null);
 }
 
 let due = false;
@@ -56,7 +83,7 @@ function draw() {
   due = true;
   requestAnimationFrame(() => {
     due = false;
-    tunnels.draw(known.run, known.gap);
+    tunnels.draw(known.run, (known.whatif && known.whatif.gap) || known.gap);
     drawBoard(known.rig, known.scene, tunnels.now());
   });
 }
@@ -68,7 +95,7 @@ export function ask(request) {
 
 function again() {
   tunnels.forgetCharts();
-  drawGap(known.gap, known.before, known.staircase, true);
+  showGap(true);
   draw();
 }
 

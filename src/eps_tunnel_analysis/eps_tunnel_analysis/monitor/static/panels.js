@@ -46,6 +46,7 @@ export function showControls({ connections: there, job, run, verdict, rig }) {
   element("play").disabled = busy || !there.armed || !there.player;
   element("diagnose").disabled = busy;
   element("add").disabled = busy;
+  for (const id of ["what-if-name", "what-if-value"]) element(id).disabled = job.kind === "play";
   element("stop").disabled = !busy;
   const missing = PARTS.filter(([key]) => !there[key]).map(([, name]) => name.toLowerCase());
   element("hint").textContent = missing.length ? `Not there: ${missing.join(", ")}.` : !there.armed && !busy ? "Arm the rig to play: it will move." : "";

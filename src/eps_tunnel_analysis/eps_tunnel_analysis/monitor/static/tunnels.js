@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tunnel of each signal with the simulation in it, and where the simulation is outside; now, or in a trial gone by.
+// The tunnel of each signal with the simulation in it, and where the simulation is outside; now, in a trial gone by, or with a
+// value of the model moved.
 import { AXIS, cleared, colour } from "/static/colours.js";
 import { percent } from "/static/gap.js";
 import { BEFORE, COLLECTING, INSIDE, LOWER, MEAN, SIMULATED, Table, UPPER, unitOf } from "/static/table.js";
@@ -11,7 +12,7 @@ const shown = (value) => (value === null || value === undefined ? "–" : Number
 
 export class Tunnels {
   constructor() {
-    this.past = null; this.trials = []; this.view = null; this.hidden = new Set(); this.at = null;
+    this.past = null; this.supposed = null; this.trials = []; this.view = null; this.hidden = new Set(); this.at = null;
     element("past").oninput = (event) => this.look(Number(event.target.value));
     element("whole").onclick = () => this.zoom(null);
     element("save-table").onclick = () => save(new Blob([this.table.csv()], { type: "text/csv" }), "csv");
@@ -19,12 +20,13 @@ export class Tunnels {
     this.forget();
   }
 
-  // What is drawn: a trial gone by, or what comes now.
-  get table() { return this.past || this.live; }
+  // What is drawn: a trial gone by, one with a value moved, or what comes now.
+  get table() { return this.past || this.supposed || this.live; }
+  get moving() { return this.table === this.live; }
   get signals() { return this.table ? this.table.signals.filter((name) => !this.hidden.has(name)) : []; }
 
   // Everything will be told anew.
-  forget() { this.live = null; this.past = null; this.forgetCharts(); }
+  forget() { this.live = null; this.past = null; this.supposed = null; this.forgetCharts(); }
 
   forgetCharts() {
     (this.charts || []).forEach((chart) => chart.destroy());
@@ -36,10 +38,19 @@ export class Tunnels {
   take(told) {
     if (!this.live || !this.live.holds(told)) {
       this.live = new Table(told);
-      if (!this.past) { this.view = null; this.forgetCharts(); }
+      if (!this.past && !this.supposed) { this.view = null; this.forgetCharts(); }
     }
     this.live.fill(told, performance.now());
     this.changed = true;
+  }
+
+  // The trial with a value of the model moved, as the monitor tells it; null goes back to what comes now.
+  suppose(told) {
+    const same = told && this.supposed && this.supposed.holds({ ...told, whole: false });
+    if (!told && !this.supposed) return;
+    this.supposed = told ? new Table(told).fill(told) : null;
+    this.changed = true;
+    if (!same) { this.past = null; this.view = null; this.forgetCharts(); this.draw(this.run, this.gap); }
   }
 
   // Trials gone by as [number, seconds since 1970]; the last place of the slider is what comes now.
@@ -86,7 +97,7 @@ export class Tunnels {
   draw(run, gap) {
     this.run = run; this.gap = gap;
     const table = this.table;
-    const glowing = !this.past && table && table.last >= 0 && performance.now() - (table.fresh[table.last] || 0) < GLOW + 500;
+    const glowing = this.moving && table && table.last >= 0 && performance.now() - (table.fresh[table.last] || 0) < GLOW + 500;
     if (!this.changed && !glowing) return;
     this.changed = false;
     element("tunnel-tools").hidden = !table || !table.signals.length;
@@ -104,7 +115,7 @@ export class Tunnels {
     });
     const band = table.collecting ? "Collecting: one real trial has no width yet, so nothing is judged."
       : "The band is what the real trials spanned; red is where the simulation leaves it.";
-    element("tunnel-what").textContent = this.past ? `A trial gone by. ${band}` : run ? `${run.sequence}, trial ${run.trial + 1} of ${run.trials}. ${band}` : band;
+    element("tunnel-what").textContent = this.past ? `A trial gone by. ${band}` : this.supposed ? `Simulated anew with a value moved; dashed is the model as it is. ${band}` : run ? `${run.sequence}, trial ${run.trial + 1} of ${run.trials}. ${band}` : band;
     this.drawWhere();
   }
 
@@ -178,7 +189,7 @@ export class Tunnels {
       context.fillStyle = colour("outside");
       context.fillRect(left, u.bbox.top, Math.max(right - left, 1), u.bbox.height);
     }
-    const age = !this.past && table.last >= 0 ? performance.now() - (table.fresh[table.last] || 0) : GLOW;
+    const age = this.moving && table.last >= 0 ? performance.now() - (table.fresh[table.last] || 0) : GLOW;
     if (age < GLOW) {
       const x = u.valToPos(table.last * table.step, "x", true), failed = table.columns[s][INSIDE][table.last] === 0;
       context.globalAlpha = 1 - age / GLOW;
