@@ -64,9 +64,10 @@ def print_comparison(comparison: "Comparison", notes: Sequence[str] = (), out: C
     ks = [a.k_real for a in comparison.alikeness]
     trials = comparison.real.count
     title = f"Alikeness, {trials} real trial{'s' * (trials > 1)} of {len(comparison.real.time)} samples"
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for curve in comparison.curves:
-        rows.append((curve.name, *map(shown_share, curve.shares)))
+        # The tunnel of one trial has no width, so its shares mean nothing.
+        rows.append((curve.name, *(shown_share(share if trials > 1 else math.nan) for share in curve.shares)))
         rows += [(f"  {ITSELF}", *map(shown_share, curve.itself))] if curve.itself else []
     table(out, title, ("signal", *(f"k = {k:g}" for k in ks)), rows)
     table(
