@@ -66,9 +66,9 @@ class Page:
         assert "exceptionDetails" not in told, (script, told["exceptionDetails"])
         return told["result"].get("value")
 
-    def until(self, script: str, meanwhile: Callable[[], None] = lambda: None) -> Any:
-        """Waits until an expression is true, and returns its value; `meanwhile` may raise."""
-        deadline = time.monotonic() + PATIENCE
+    def until(self, script: str, meanwhile: Callable[[], None] = lambda: None, patience: float = PATIENCE) -> Any:
+        """Waits, at most `patience` s, until an expression is true, and returns its value; `meanwhile` may raise."""
+        deadline = time.monotonic() + patience
         while not (value := self.evaluate(script)):
             meanwhile()
             if time.monotonic() > deadline:

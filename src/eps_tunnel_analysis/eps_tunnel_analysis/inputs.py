@@ -112,6 +112,8 @@ class Recorded:
         hashes: of the sequences, one for each play, "" where the bag tells none.
         held: plays that are only judged.
         held_hashes: of their sequences.
+        files: the bags of each play.
+        known: what was set differently in some bags, as the user said it, PATTERN:NAME=VALUE.
     """
 
     model: Model
@@ -121,6 +123,8 @@ class Recorded:
     notes: tuple[str, ...]
     held: tuple[Play, ...] = ()
     held_hashes: tuple[str, ...] = ()
+    files: tuple[tuple[Path, ...], ...] = ()
+    known: tuple[str, ...] = ()
 
 
 def load_sides(
@@ -232,6 +236,8 @@ def load_recorded(
         tuple(dict.fromkeys((*read.notes, *(held.notes if held else ()), *unstated_notes(loaded), *scale_notes))),
         held.plays if held else (),
         tuple(r.sequence_hash for r in held.results) if held else (),
+        tuple(r.bags for r in read.results),
+        tuple(known),
     )
 
 
@@ -319,7 +325,26 @@ def _is_bag(path: Path) -> bool:
 
 def _read(paths: Sequence[Path], rig: Rig | None, reading: Reading) -> TrialsResult:
     recordings = read_all(paths, reading.time_source)
-    return to_trials(recordings, rig, **reading.options(recordings, rig))
+    options = reading.options(recordings, rig)
+    try:
+        return to_trials(recordings, rig, **options)
+    except InputError:
+        _refuse_several_commands(recordings, rig, options)
+        raise
+
+
+def _refuse_several_commands(recordings: Sequence[Recording], rig: Rig | None, options: Mapping[str, Any]) -> None:
+    """Raises InputError where whole bags of several commands were named, which is all that is wrong with them."""
+    try:
+        results = to_plays(recordings, rig, **options).results
+    except InputError:
+        return
+    if len(results) > 1 and sum(len(r.bags) for r in results) == len(recordings):
+        groups = "; ".join(f"{i}: {', '.join(map(str, r.bags))}" for i, r in enumerate(results, 1))
+        raise InputError(
+            f"These bags hold {len(results)} commands, and only trials of one can be compared. Name those of one after "
+            f"--real: {groups}."
+        )
 
 
 def _refuse_other_sequence(real: TrialsResult, sim: TrialsResult) -> None:
@@ -456,6 +481,7 @@ def with_effort_scales(model: Model, plays: Sequence[Play]) -> tuple[Model, tupl
     notes = tuple(
         f"{name} is not stated: {value:.3g} {infos[name].unit} guessed from the recordings. State it in the rig file "
         "where you know it."
+        + (" It is negative: turn the effort's sign round, or add what takes the effort, as friction." * (value < 0))
         for name, value in found.items()
     )
     return guessed, notes

@@ -175,7 +175,7 @@ class Study:
         comparison = compare(sides.real, sides.sim, ks, smoothed, k_sim, self.reading.signals)
         notes = (*sides.notes, *comparison.notes)
         model = str(self.model) if isinstance(self.model, str | Path) else sides.model.name if sides.model else None
-        step = after_comparison(comparison, tuple(map(Path, self.real)), model, self.effects)
+        step = after_comparison(comparison, tuple(map(Path, self.real)), model, self.effects, self.known)
         return StudyGap(replace(comparison, notes=notes), sides.facts, sides.model, step)
 
     def check(self, progress: bool = True) -> "Check":

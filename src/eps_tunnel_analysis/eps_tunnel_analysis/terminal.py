@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -64,9 +64,10 @@ def print_comparison(comparison: "Comparison", notes: Sequence[str] = (), out: C
     ks = [a.k_real for a in comparison.alikeness]
     trials = comparison.real.count
     title = f"Alikeness, {trials} real trial{'s' * (trials > 1)} of {len(comparison.real.time)} samples"
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for curve in comparison.curves:
-        rows.append((curve.name, *map(shown_share, curve.shares)))
+        # The tunnel of one trial has no width, so its shares mean nothing.
+        rows.append((curve.name, *(shown_share(share if trials > 1 else math.nan) for share in curve.shares)))
         rows += [(f"  {ITSELF}", *map(shown_share, curve.itself))] if curve.itself else []
     table(out, title, ("signal", *(f"k = {k:g}" for k in ks)), rows)
     table(
@@ -116,27 +117,27 @@ def print_calibration(result: "CalibrationResult", notes: Sequence[str], out: Co
             ("parameter", "before", "after", "95 %", "unit", ""),
             rows,
         )
-    _print_scores(out, KS, "Fitted commands", result.before, result.after)
-    _print_scores(out, KS, "Held-out commands", result.held_out_before, result.held_out_after)
+    _print_scores(out, KS, "Fitted commands", result.before, result.after, result.itself)
+    _print_scores(out, KS, "Held-out commands", result.held_out_before, result.held_out_after, result.held_out_itself)
     for text in result.warnings:
         out.print(f"Warning: {text}", soft_wrap=True, markup=False)
     print_notes(out, notes)
 
 
 def _print_scores(
-    out: Console, ks: Sequence[float], title: str, before: "tuple[Score, ...]", after: "tuple[Score, ...]"
-) -> None:
+    out: Console, ks: Sequence[float], title: str, before: "tuple[Score, ...]", after: "tuple[Score, ...]",
+    itself: Mapping[str, Mapping[float, float]],
+) -> None:  # fmt: skip
     if not after:
         return
-    rows = [
-        (
-            b.signal,
-            shown_value(b.error, b.unit),
-            shown_value(a.error, a.unit),
-            *(f"{shown_share(b.alikeness[k])} -> {shown_share(a.alikeness[k])}" for k in ks),
+    rows = []
+    for b, a in zip(before, after, strict=True):
+        errors = (shown_value(score.error, score.unit) for score in (b, a))
+        rows.append(
+            (b.signal, *errors, *(f"{shown_share(b.alikeness[k])} -> {shown_share(a.alikeness[k])}" for k in ks))
         )
-        for b, a in zip(before, after, strict=True)
-    ]
+        if rig := itself.get(b.signal):
+            rows.append((f"  {ITSELF}", "", "", *(shown_share(rig[k]) for k in ks)))
     table(
         out, f"{title}, before and after", ("signal", "E before", "E after", *(f"alike, k = {k:g}" for k in ks)), rows
     )

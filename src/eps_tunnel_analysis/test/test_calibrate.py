@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from fit_cases import FREE, TRUTH, made_by, plays, start, step
 
-from eps_tunnel_analysis.fit.calibrate import Settings, calibrate, calibrate_model, judge
+from eps_tunnel_analysis.fit.calibrate import CalibrationResult, Settings, calibrate, calibrate_model, judge, judge_rig
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Objective, by_axis, default_free, free_parameters
 from eps_tunnel_analysis.inputs import hold_out
+from eps_tunnel_analysis.outputs import shown_share
 from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.terminal import print_calibration, text_of
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 from labyrinth_sim.trials import Trials
@@ -59,6 +61,34 @@ def test_a_score_is_the_mean_distance_and_the_shares_within_the_tunnel() -> None
     assert score.alikeness == {1.0: 3 / 8, 2.0: 7 / 8}  # -2 <= off <= 1 and -4 <= off <= 2
 
 
+def test_the_rig_against_itself_counts_the_samples_of_every_command_with_enough_trials() -> None:
+    """Three trials at -1, 0 and 1 mrad for 4 s, then apart no more: each outer one leaves the others' tunnel."""
+    apart = 1e-3 * np.array([-1.0, 0.0, 1.0])[:, None, None]
+    commands = ("motor_x", "motor_y")
+
+    def still(trials: int, samples: int, spread: float) -> Play:
+        values = spread * apart[:trials] * np.ones((1, samples, 1))
+        time = np.arange(samples) * 0.01
+        return Play("still", Trials(time, SIGNALS, ("rad",), values, commands, np.zeros((trials, samples, 2))))
+
+    wide, narrow, single = still(3, 400, 1.0), still(3, 100, 0.0), still(1, 100, 1.0)
+    assert judge_rig(start(), [wide], SIGNALS, ks=(1.0, 4.0)) == {"motor_x": {1.0: pytest.approx(1 / 3), 4.0: 1.0}}
+    found = judge_rig(start(), [wide, narrow, single], SIGNALS, ks=(1.0,))
+    assert found == {"motor_x": {1.0: pytest.approx((400 / 3 + 100) / 500)}}
+    assert judge_rig(start(), [single], SIGNALS) == {}
+
+
+def test_a_fits_tables_have_the_rig_against_itself_below_each_signal() -> None:
+    fitted, held = plays((2.0, -3.0)), plays((1.0,))
+    scores = [judge(start(), some, SIGNALS) for some in (fitted, fitted, held, held)]
+    rig = [judge_rig(start(), some, SIGNALS) for some in (fitted, held)]
+    result = CalibrationResult(start(), (), (), *scores, *rig)
+    printed = text_of(lambda out: print_calibration(result, (), out), width=200).split("Held-out commands")
+    for text, itself in zip(printed, rig, strict=True):
+        row = next(line for line in text.splitlines() if "rig against itself" in line)
+        assert [part.strip() for part in row.split("|")[4:-1]] == [shown_share(v) for v in itself["motor_x"].values()]
+
+
 def test_what_is_free_by_default_is_what_the_drives_and_effects_say() -> None:
     model = start().with_effect("backlash", "y")
     names = default_free(model)
@@ -91,6 +121,7 @@ def test_a_calibration_axis_by_axis_leaves_the_other_axis_alone() -> None:
     result = calibrate_model(start(), recorded, default_free(start()), settings, axis_by_axis=True)
     assert [part.axis for part in result.parts] == ["x", "y"]
     assert [fit.fitted_plays for fit in result.fits] == [("+2deg", "-3deg"), ("+1deg",)]
+    assert result.itself == judge_rig(start(), recorded) and not result.held_out_itself
     for fit in result.fits:
         for name, value in fit.values.items():
             assert result.model.values()[name] == value

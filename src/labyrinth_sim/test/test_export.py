@@ -3,6 +3,7 @@
 
 import ast
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -10,10 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from labyrinth_sim.effect import effects
+from labyrinth_sim.effect import drives, effects
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.export.export import Exported, export
-from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.model import DriveUse, Model, load_model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import simulate
 
@@ -98,8 +99,6 @@ def test_each_effect_is_exported_as_it_acts(name: str, tmp_path: Path) -> None:
 
 def alone(model: Model) -> Model:
     """The model on its rig without the ball, which no effect here needs."""
-    from dataclasses import replace
-
     rig = replace(model.rig, mjcf=model.rig.mjcf_without_ball or model.rig.mjcf, mjcf_without_ball=None, ball=None)
     return replace(model, rig=rig)
 
@@ -113,6 +112,47 @@ def test_each_drive_is_exported_as_it_acts(name: str, tmp_path: Path) -> None:
     targets = commands(model, 0.1)
     targets[20:25, 0] = np.nan  # switched off for a while
     assert apart(model, tmp_path, targets) < 1e-6
+
+
+def driven(kind: str) -> Model:
+    """An arm with a kind of drive on both axes, at its typical values."""
+    model = load_model("two_link_arm")
+    return replace(model, drives={axis: DriveUse(drives()[kind], {}) for axis in model.drives})
+
+
+@pytest.mark.parametrize("kind", drives())
+def test_the_table_says_of_every_value_of_a_drive_where_it_went(kind: str, tmp_path: Path) -> None:
+    """Another value changes the files that the table names, and moves the exported files as our own simulation."""
+    model = driven(kind)
+    changed = {}
+    for name, info in model.parameters().items():
+        if name.startswith("drive.elbow."):
+            up = info.value + 0.03 * (info.high - info.low)
+            changed[name] = up if up <= info.high else info.value - 0.03 * (info.high - info.low)
+    files = export(model)
+    for name, value in changed.items():
+        others = export(model.with_values({name: value}))
+        (where,) = (p.where for p in others.placements if p.name == name)
+        assert where in ("MJCF", "module", "MJCF and module"), name
+        assert ("MJCF" in where) == (others.mjcf != files.mjcf), (name, where)
+        assert "module" not in where or others.module != files.module, (name, where)
+    assert apart(model.with_values(changed), tmp_path, commands(model)) < 1e-6
+
+
+@pytest.mark.parametrize("name", effects())
+def test_the_table_says_of_every_value_of_an_effect_where_it_went(name: str) -> None:
+    """It names the files that the effect changes, on an arm and on a board behind belts."""
+    seen = set()
+    for model in map(load_model, ("two_link_arm", "labyrinth")):
+        for place in model.places(name)[:1]:
+            without, exported = export(model), export(model.with_effect(name, place))
+            told = {p.name: p.where for p in exported.placements if p.name.startswith(f"{name}.{place}.")}
+            assert set(told) == {f"{name}.{place}.{p.name}" for p in effects()[name].parameters}
+            went = set(" and ".join(told.values()).split(" and "))
+            assert ("MJCF" in went) == (exported.mjcf != without.mjcf)
+            assert ("module" in went) == (exported.module != without.module)
+            seen |= went
+    assert seen and seen <= {"MJCF", "module", "no"}, "at its typical values it does something"
 
 
 def test_without_anything_between_steps_the_mjcf_is_enough(tmp_path: Path) -> None:

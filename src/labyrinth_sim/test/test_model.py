@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import pickle
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,9 @@ import pytest
 import yaml
 
 from labyrinth_sim.config import names
-from labyrinth_sim.effect import effects
+from labyrinth_sim.effect import drives, effects
 from labyrinth_sim.errors import InputError
-from labyrinth_sim.model import load_model, save_model
+from labyrinth_sim.model import DriveUse, EffectUse, load_model, save_model
 from labyrinth_sim.registry import Registry
 from labyrinth_sim.rig import load_rig
 from labyrinth_sim.simulate import simulate
@@ -103,6 +104,28 @@ def test_numbers_that_nobody_stated_are_listed(tmp_path: Path) -> None:
     assert (voltage.name, voltage.value, voltage.unit) == ("drive.pendulum.voltage", 7.4, "V")
     assert load_model(tmp_path / "model.yaml").with_values({"drive.pendulum.voltage": 5.0}).unstated() == ()
     assert all(load_model(name).unstated() == () for name in names("models"))
+
+
+@pytest.mark.parametrize("kind", drives())
+def test_what_a_drive_leaves_out_is_listed_or_adds_nothing(kind: str) -> None:
+    model = load_model("two_link_arm")
+    model = replace(model, drives={axis: DriveUse(drives()[kind], {}) for axis in model.drives})
+    mine = {name: info for name, info in model.parameters().items() if name.startswith("drive.")}
+    listed = {info.name: info.value for info in model.unstated()}
+    assert listed and set(listed) == {name for name, info in mine.items() if info.value not in (0.0, info.off)}
+    stated = model.with_values(listed)
+    assert stated.unstated() == () and stated.values() == model.values()
+
+
+@pytest.mark.parametrize("name", effects())
+def test_what_an_effect_leaves_out_is_listed_or_adds_nothing(name: str) -> None:
+    model = next(m for m in map(load_model, ("two_link_arm", "labyrinth")) if m.places(name))
+    use = EffectUse(effects()[name], model.places(name)[0], {})
+    model = replace(model, effects=(*model.effects, use))
+    mine = {n: info for n, info in model.parameters().items() if n.startswith(f"{name}.{use.place}.")}
+    listed = {info.name: info.value for info in model.unstated()}
+    assert set(listed) == {n for n, info in mine.items() if info.value not in (0.0, info.off)}
+    assert model.with_values(listed).unstated() == ()
 
 
 def test_half_a_model_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

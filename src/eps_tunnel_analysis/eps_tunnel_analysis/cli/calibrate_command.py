@@ -19,7 +19,7 @@ from eps_tunnel_analysis.cli.arguments import (
 )
 from eps_tunnel_analysis.outputs import json_text
 from eps_tunnel_analysis.processes import INTERRUPTED
-from eps_tunnel_analysis.terminal import console, fit_bars, print_calibration
+from eps_tunnel_analysis.terminal import console, fit_bars, print_calibration, print_next
 from labyrinth_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eps_tunnel_analysis.fit.calibrate import Settings
     from eps_tunnel_analysis.fit.from_bags import calibrate_bags, free_of, model_and_result
     from eps_tunnel_analysis.inputs import held_apart, load_recorded
+    from eps_tunnel_analysis.report.next_step import compare_with
 
     files = model_and_result(arguments.out)
     recorded = load_recorded(
@@ -115,6 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print_calibration(calibration.result, calibration.notes)
         console().print(f"Model: {files[0]}\nResult: {files[1]}", soft_wrap=True)
+        print_next(console(), "Next: see what is left.", compare_with(recorded, arguments.real, str(files[0])))
     return INTERRUPTED if calibration.result.interrupted else 0
 
 

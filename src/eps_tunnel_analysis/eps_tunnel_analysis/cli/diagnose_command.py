@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> None:
         out.print(diagnosis.experiment.reason, soft_wrap=True, markup=False)
     out.print(f"Model: {arguments.out / MODEL_FILE}", soft_wrap=True)
     out.print(f"Report: {reason.report.resolve()}", soft_wrap=True)
-    print_next(out, *next_step(diagnosis, arguments.real, arguments.model, arguments.out, proposal))
+    print_next(out, *next_step(diagnosis, reason.recorded, arguments.real, arguments.model, arguments.out, proposal))
 
 
 def _show_check(checked: "Check") -> None:

@@ -99,7 +99,7 @@ def _improve(arguments: argparse.Namespace) -> None:
     table(out, "Staircase of error", [*named, *(["ball's error", "held out"] if ball else [])], rows)
     out.print(step.sentence, soft_wrap=True, markup=False)
     out.print(f"Models: {arguments.out}; the last one: {step.model}", soft_wrap=True)
-    print_next(out, "Next: see what is left.", compare_with(arguments.real, str(step.model), arguments.effects))
+    print_next(out, "Next: see what is left.", compare_with(step.last.recorded, arguments.real, str(step.model)))
 
 
 def _improve_live(arguments: argparse.Namespace) -> int:
@@ -120,12 +120,13 @@ def _improve_live(arguments: argparse.Namespace) -> int:
     from eps_tunnel_analysis.loop.experimenter import Plan
     from eps_tunnel_analysis.loop.rig import RigFailed
     from eps_tunnel_analysis.processes import TIMING, spare_threads
+    from eps_tunnel_analysis.report.next_step import compare_with
 
     options = diagnosis_options(arguments, TIMING, spare_threads())
     plan = Plan(arguments.model, arguments.sequence, arguments.trials, arguments.most_steps, search=options)
     out = console(stderr=arguments.json)
     try:
-        improve(
+        ending = improve(
             plan, arguments.out, arguments.emulated, tuple(arguments.hide),
             lambda: rollout_progress(arguments.progress), lambda line: out.print(line, soft_wrap=True, markup=False),
         )  # fmt: skip
@@ -134,6 +135,10 @@ def _improve_live(arguments: argparse.Namespace) -> int:
         return FAILED
     if arguments.json:
         print((arguments.out / "staircase.json").read_text(encoding="utf-8"), end="")
+        return 0
+    recorded = ending.last.recorded
+    real = [bag for bag, _ in recorded.bags]
+    print_next(out, "Next: see what is left.", compare_with(recorded, real, str(ending.model)))
     return 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from eps_tunnel_analysis.cli.arguments import add_threads_argument
 from eps_tunnel_analysis.outputs import new_folder, refuse_existing
-from eps_tunnel_analysis.terminal import console, rollout_progress
+from eps_tunnel_analysis.terminal import console, print_next, rollout_progress
 
 NAME = "new-rig"
 HELP = "Writes rig and model files from a robot's MJCF or URDF and its recordings, and checks them."
@@ -71,9 +71,12 @@ def run(arguments: argparse.Namespace) -> None:
     if not arguments.no_check:
         _check(model, paths, known, arguments)
     out.print(f"Rig: {arguments.out / 'rig.yaml'}\nModel: {model}", soft_wrap=True)
+    said = "Next: which physical effect the model lacks."
     if known:
-        out.print("Recorded with different gains; give every command with these recordings:", soft_wrap=True)
-        out.print(f"  --known {shlex.join(known)}", soft_wrap=True, markup=False)
+        said = "Recorded with different gains: every command with these recordings needs --known as below. " + said
+    source = arguments.bag or [arguments.out / "bags"]
+    words = ["--real", *map(str, source), *(["--known", *known] if known else []), "--model", str(model)]
+    print_next(out, said, shlex.join(["eps-tunnel", "diagnose", *words, "--out", "why"]))
 
 
 def _check(model: Path, paths: list[Path], known: list[str], arguments: argparse.Namespace) -> None:

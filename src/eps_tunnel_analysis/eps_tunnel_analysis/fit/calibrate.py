@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.alikeness import KS, rig_against_itself
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.fit.differences import jacobian, moved
 from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy
@@ -168,6 +168,29 @@ def judge(
         Score(name, units[name], float(error) / len(plays), share)
         for name, error, share in zip(names, errors, by_k, strict=True)
     )
+
+
+def judge_rig(
+    model: Model, plays: Sequence[Play], signals: Iterable[str] | None = None, ks: Sequence[float] = KS
+) -> dict[str, dict[float, float]]:
+    """What the rig reaches against itself, beside the alikeness of `judge`: signal -> factor k -> share of all seen
+    samples of the plays with enough trials; empty where no play has them.
+
+    Raises:
+        InputError: unknown signals.
+    """
+    names = compared_signals(model, [play.trials for play in plays], signals)
+    alike, seen = np.zeros((len(ks), len(names))), np.zeros(len(names))
+    for play in plays:
+        real = play.trials.select(names)
+        found = rig_against_itself(real, ks)
+        if not found:
+            continue
+        samples = (~np.isnan(real.values)).any(axis=0).sum(axis=0)  # (m,)
+        seen += samples
+        alike += samples * np.nan_to_num([[at.shares[name] for name in names] for at in found])
+    shares = alike / np.maximum(seen, 1)
+    return {name: dict(zip(ks, shares[:, i].tolist(), strict=True)) for i, name in enumerate(names) if seen[i]}
 
 
 class Method(Protocol):
@@ -412,6 +435,7 @@ class CalibrationResult:
     parts, fits: what was fitted, and how it went; one unless fitted axis by axis, fewer after an interruption.
     before, after: scores on the fitted plays, signal by signal.
     held_out_before, held_out_after: on those held out; empty where none were.
+    itself, held_out_itself: what the rig reaches against itself on the same plays, as of `judge_rig`.
     """
 
     model: Model
@@ -421,6 +445,8 @@ class CalibrationResult:
     after: tuple[Score, ...]
     held_out_before: tuple[Score, ...]
     held_out_after: tuple[Score, ...]
+    itself: Mapping[str, Mapping[float, float]]
+    held_out_itself: Mapping[str, Mapping[float, float]]
 
     @property
     def values(self) -> dict[str, float]:
@@ -488,4 +514,8 @@ def calibrate_model(
         for some in (seen, unseen)
         for which in (model, fitted)
     ]
-    return CalibrationResult(fitted, tuple(parts[: len(fits)]), tuple(fits), *scores)
+    itself, held_itself = (judge_rig(model, some, settings.signals) if some else {} for some in (seen, unseen))
+    before, after, held_before, held_after = scores
+    return CalibrationResult(
+        fitted, tuple(parts[: len(fits)]), tuple(fits), before, after, held_before, held_after, itself, held_itself
+    )

@@ -110,18 +110,11 @@ def gap_page(played: Played, notebook: Notebook) -> list[str]:
     """Error and alikeness, where it fails, and a picture."""
     gap = played.gap
     c = gap.comparison
-    rows = [
-        (
-            e.signal,
-            shown_value(e.command_error, e.unit),
-            shown_value(e.repeat_rms, e.unit),
-            *(shown_share(a.shares[e.signal]) for a in c.alikeness),
-        )
-        for e in c.errors
-    ]
-    rows.append(("jointly", "", "", *(shown_share(a.joint) for a in c.alikeness)))
-    if c.against_itself:
-        rows.append(("the rig against itself, jointly", "", "", *(shown_share(a.joint) for a in c.against_itself)))
+    errors = {e.signal: (shown_value(e.command_error, e.unit), shown_value(e.repeat_rms, e.unit)) for e in c.errors}
+    rows = []
+    for curve in c.curves:
+        rows.append((curve.name, *errors.get(curve.name, ("", "")), *map(shown_share, curve.shares)))
+        rows += [("the rig against itself", "", "", *map(shown_share, curve.itself))] if curve.itself else []
     columns = ("signal", "error E", "rig repeats within", *(f"alike, k = {a.k_real:g}" for a in c.alikeness))
     return [
         markdown_table(columns, rows),

@@ -75,7 +75,8 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
         if 1.0 / NEAR < k / max(moved, 1e-300) < NEAR:
             return si, f"its stiffness, {k:.3g} {si}, is that with which the model's inertia moves, {moved:.3g}"
     if most <= 1.0 and most > 0.05 and not np.allclose(seen, np.round(seen)):
-        return "duty", f"never beyond 1 (at most {most:.3g}), and not what the model's inverse dynamics gives"
+        why = f"never beyond 1 (at most {most:.3g}), and not what the model's inverse dynamics gives"
+        return "duty", f"{why}; if it is a current, say --effort-unit A"
     counts = " in whole numbers" if np.allclose(seen, np.round(seen)) else ""
     return (
         "raw",

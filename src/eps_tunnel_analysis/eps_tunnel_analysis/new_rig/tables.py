@@ -38,7 +38,7 @@ def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tup
     bags = []
     for table in tables:
         columns = _columns(table, joints, notes)
-        notes += csv_to_bag(table, columns, folder / table.stem)
+        csv_to_bag(table, columns, folder / table.stem)  # what it finds odd takes all for rad; units are told later
         bags.append(folder / table.stem)
     return bags, list(dict.fromkeys(notes))
 

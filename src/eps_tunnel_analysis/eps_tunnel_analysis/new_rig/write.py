@@ -21,6 +21,7 @@ from labyrinth_sim.yaml_file import yaml_text
 TURN = 2.0 * np.pi
 DEGREES = 4.0 * np.pi  # a reach beyond is hardly rad
 DEGREES_MOST = 400.0
+BEYOND = 2.0  # of a joint's range in the model; a reach beyond is hardly rad
 LEAST_ARMATURE = 1e-5  # kg m^2 (kg); a joint with less diverges under any stiff drive
 MARGIN = 0.1  # of the recorded range, beyond which the allowed targets lie
 GAINS_APART = 0.05  # relative difference of gains that recordings were made with
@@ -97,10 +98,20 @@ def new_rig(
     axes = [_with_actuator(a, robot) for a in axes]
     write_new(folder / "rig.yaml", _rig_text(robot, mjcf, axes, step, topics, recordings))
     write_new(folder / "model.yaml", _model_text(robot, axes, recordings))
-    notes = [f"Joint {a.match.joint} is recorded as {a.match.recorded}: {a.match.why}." for a in axes]
+    notes = [note for a in axes for note in _found(a)]
     left = [j for j in robot.joints if j not in [a.match.joint for a in axes]]
     notes += [f"Not driven here, as no recording commands it: {', '.join(left)}."] if left else []
     return NewRig(folder / "model.yaml", tuple(notes), tuple(_known(axes, recordings)))
+
+
+def _found(a: AxisProposal) -> list[str]:
+    """What an axis was taken for."""
+    effort = f" Its effort is in {a.drive.effort}: {a.drive.effort_why}." if a.drive.effort else ""
+    return [
+        f"Joint {a.match.joint} is recorded as {a.match.recorded}: {a.match.why}. Its position is in {a.unit}: "
+        f"{a.unit_why}.{effort}",
+        f"Drive {a.name} is a {a.drive.kind}: {a.drive.why}.",
+    ]
 
 
 def sample_time(recordings: Sequence[Recording], topics: Topics) -> float:
@@ -124,7 +135,8 @@ def _axis(
     seen, sent = all_of(samples, "position"), all_of(samples, "target")
     if not len(seen) or not len(sent):
         raise InputError(f"Joint {m.recorded}: no numbers in its position or command. Leave it out, or record it.")
-    unit, why = (position, "as --position-unit says") if position else _position_unit(seen, slides)
+    bounds = robot.mj.jnt_range[joint.id] if robot.mj.jnt_limited[joint.id] else None
+    unit, why = (position, "as --position-unit says") if position else _position_unit(seen, slides, bounds)
     if unit not in POSITION_UNITS:
         raise InputError(f"--position-unit {unit}: expected {', '.join(POSITION_UNITS)}; state ticks in the rig file.")
     scale = POSITION_UNITS[unit]
@@ -165,12 +177,16 @@ def _axis(
     )  # fmt: skip
 
 
-def _position_unit(seen: np.ndarray, slides: bool) -> tuple[str, str]:
+def _position_unit(seen: np.ndarray, slides: bool, bounds: np.ndarray | None) -> tuple[str, str]:
+    """Unit of positions and why, by how far they reach and by the joint's range in the model, rad or m."""
     reach = float(np.abs(seen).max())
+    far = float(np.abs(bounds).max()) if bounds is not None else 0.0
     if slides:
         if reach > 5.0:
             return "mm", f"reaches {reach:.4g}, which is hardly metres"
         return "m", f"reaches {reach:.3g}; ROS has metres"
+    if 0.0 < BEYOND * far < reach <= np.degrees(far):
+        return "deg", f"reaches {reach:.4g}, and the model's joint {far:.3g} rad; as degrees it fits"
     if reach > DEGREES and reach <= DEGREES_MOST:
         return "deg", f"reaches {reach:.4g}, which is hardly radians"
     if reach > DEGREES_MOST:
@@ -178,7 +194,8 @@ def _position_unit(seen: np.ndarray, slides: bool) -> tuple[str, str]:
             f"Positions reach {reach:.5g}: neither rad nor deg. Are these ticks? Convert them, or write the rig file "
             "by hand with 'unit: ticks, ticks_per_turn: 4096, zero: 2048'."
         )
-    return "rad", f"reaches {reach:.3g}; ROS has radians"
+    doubt = "; if that is degrees, say --position-unit deg" if reach > TURN / 2.0 else ""
+    return "rad", f"reaches {reach:.3g}; ROS has radians{doubt}"
 
 
 def _robot_file(robot: Robot, joints: Sequence[str], folder: Path) -> Path:

@@ -98,8 +98,7 @@ def _what_to_do(added: Added, reason: Reason, bags: Bags, model: str) -> str:
     """What the demo does about it, honest about verdicts that name nothing."""
     if not added.words:
         return "nothing is added, for nothing is named; the model's own values are refitted."
-    effects, registry = added.addition.effects, added.addition.model.registry
-    by_hand = next_commands(effects, bags.real, model, reason.folder, registry)[1]
+    by_hand = next_commands(added.addition.effects, reason.recorded, bags.real, model, reason.folder)[1]
     careful = f" A careful experimenter plays {reason.folder / 'next_experiment.yaml'} first, as eps-tunnel improve " \
         "--live does." if added.why and reason.diagnosis.experiment else ""  # fmt: skip
     return f"{added.words} is added. {added.why}{careful} {added.addition.sentence} By hand: {by_hand}"

@@ -243,8 +243,8 @@ class ResampleReport:
 @shown
 @dataclass(frozen=True)
 class TrialsResult:
-    """Trials on a grid and at their own stamps, what was lost on the way, and which sequence they played (empty where
-    the bags do not tell).
+    """Trials on a grid and at their own stamps, what was lost on the way, which sequence they played (empty where the
+    bags do not tell), and the bags that they are from.
     """
 
     trials: Trials
@@ -252,6 +252,7 @@ class TrialsResult:
     sequence: str
     sequence_hash: str
     stamped: tuple[StampedTrial, ...] = ()
+    bags: tuple[Path, ...] = ()
 
 
 def read_trials(
@@ -392,7 +393,8 @@ def on_grid(
     notes += _loss_notes(names, missing, samples, [window.label for window in found])
     report = ResampleReport(names, missing, samples, gaps, tuple(notes))
     stamped = tuple(stamped_trial(span, max_hold) for span in spans)
-    return TrialsResult(trials, report, found[0].sequence, found[0].sequence_hash, stamped)
+    bags = tuple(dict.fromkeys(span.recording.path for span in spans))
+    return TrialsResult(trials, report, found[0].sequence, found[0].sequence_hash, stamped, bags)
 
 
 def check_lengths(found: Sequence[Window], rate: float) -> None:

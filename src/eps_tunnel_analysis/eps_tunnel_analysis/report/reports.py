@@ -195,8 +195,8 @@ def write_diagnosis(folder: Path, out: Path, found: Findings, real: Sequence[Pat
     ]
     trials = sum(play.trials.count for play in recorded.plays)
     subtitle = f"What {recorded.model.name} lacks, by {_trials(trials)} and {v.evaluations:,} roll-outs"
-    _, add = next_commands(v.effects, real, model, out, recorded.model.registry)
-    step = next_step(diagnosis, real, model, out, proposal)
+    _, add = next_commands(v.effects, recorded, real, model, out)
+    step = next_step(diagnosis, recorded, real, model, out, proposal)
     files = [(file.name, str(out / file.name)) for file in sorted(folder.iterdir())]
     page = diagnosis_report(found, subtitle, step, add, [*facts, *files], out)
     (folder / "report.html").write_text(page, encoding="utf-8")

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from labyrinth_sim import filters
-from labyrinth_sim.build import Placed, build_spec
+from labyrinth_sim.build import Placed, Plan, build_spec
 from labyrinth_sim.effect import Drive
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
@@ -29,6 +29,7 @@ from labyrinth_sim.simulate import numbers_of
 from labyrinth_sim.trials import Array
 
 DIGITS = 17  # of numbers in the MJCF; its own 6 would not be the same model
+UNEQUAL = 1e-12  # relative; survives the digits of the MJCF
 HOOKS = ("command", "error", "step", "measure")
 IN_WORDS = {"command": "its target", "error": "its error", "step": "before every step", "measure": "its measurement"}
 
@@ -62,6 +63,16 @@ def export(model: Model) -> Exported:
     Raises:
         InputError: an effect's file uses more than numpy and mujoco.
     """
+    plan, values, text, torque = _compiled(model)
+    acting = plan.acting(values)
+    bundle = Bundle()
+    placements = tuple(_placements(model, acting, text, torque))
+    needed = any("module" in p.where for p in placements)
+    return Exported(text, _module(model, acting, torque, bundle) if needed else "", placements)
+
+
+def _compiled(model: Model) -> tuple[Plan, dict[str, Array], str, Array]:
+    """The plan, all values, the MJCF's text, and the constant torque (nv,) on each degree of freedom."""
     spec, plan = build_spec(model)
     values = numbers_of(model, 1)
     engine = Engine(model, plan, values, 1, model.rig.sample_time, nthread=1)
@@ -75,13 +86,7 @@ def export(model: Model) -> Exported:
         geom.condim = int(target.geom_condim[geom.id])
     for joint in spec.joints:  # MuJoCo does not copy it back
         joint.actfrcrange = target.jnt_actfrcrange[joint.id]
-    text = _mjcf(spec, target)
-    torque = engine.fields.torque[0]
-    acting = plan.acting(values)
-    bundle = Bundle()
-    placements = tuple(_placements(model, acting, torque))
-    needed = any("module" in p.where for p in placements)
-    return Exported(text, _module(model, acting, torque, bundle) if needed else "", placements)
+    return plan, values, _mjcf(spec, target), engine.fields.torque[0]
 
 
 # ---- the MJCF
@@ -95,6 +100,7 @@ def _mjcf(spec: mujoco.MjSpec, target: mujoco.MjModel) -> str:
         loaded = mujoco.MjModel.from_xml_path(first)
         for name in _numbers(target):
             getattr(loaded, name)[...] = getattr(target, name)
+        _keep_from_ratios(loaded)
         loaded.opt.gravity = target.opt.gravity
         mujoco.mj_saveLastXML(second, loaded)
         text = Path(second).read_text(encoding="utf-8")
@@ -104,6 +110,16 @@ def _mjcf(spec: mujoco.MjSpec, target: mujoco.MjModel) -> str:
     if lost:
         raise InputError(f"MuJoCo does not write {', '.join(lost)} of this model to an MJCF.")
     return text
+
+
+def _keep_from_ratios(model: mujoco.MjModel) -> None:
+    """Sets off the stiffness of a position servo that pushes with speed by less than a rounding error.
+
+    MuJoCo's compiler takes a positive factor of speed for a damping ratio where stiffness and gain are equal.
+    """
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    servo = (bias[:, 2] > 0.0) & (gain == -bias[:, 1])
+    bias[servo, 1] *= 1.0 + UNEQUAL
 
 
 ESSENTIAL = (
@@ -223,7 +239,7 @@ def _joint_dofs(model: Model) -> Iterator[tuple[str, int]]:
 # ---- where each value went
 
 
-def _placements(model: Model, acting: list[Placed], torque: Array) -> Iterator[Placement]:
+def _placements(model: Model, acting: list[Placed], text: str, torque: Array) -> Iterator[Placement]:
     infos = model.parameters()
     for axis in model.rig.axes:
         kind = model.drives[axis.name].kind
@@ -231,9 +247,8 @@ def _placements(model: Model, acting: list[Placed], torque: Array) -> Iterator[P
             info = infos[f"drive.{axis.name}.{p.name}"]
             late = p.name in ("delay", "goal_tick", "feedback_tick")
             law = kind.gain is not None and p.name in ("p", "i", "d")
-            where = ("module" if info.value else "off") if late else "module" if law and p.name != "p" else "MJCF"
-            where = "off" if law and p.name != "p" and not info.value else where
-            where = "MJCF and module" if law and p.name == "p" else where
+            where = "module" if late or (law and p.name == "i") else "MJCF and module" if law else "MJCF"
+            where = "off" if not info.value and (late or (law and p.name != "p")) else where
             how = (
                 f"drives {axis.name}'s target" if late else "the law's control" if law else f"actuator {axis.actuator}"
             )
@@ -242,18 +257,20 @@ def _placements(model: Model, acting: list[Placed], torque: Array) -> Iterator[P
     for use in model.effects:
         prefix = f"{use.effect.name}.{use.place}."
         hooks = [IN_WORDS[hook] for hook in HOOKS if getattr(use.effect, hook)]
-        native = bool(use.effect.fields or use.effect.spec)
+        native = pushes = False
+        if prefix in on and (use.effect.fields or use.effect.spec):  # what they do depends on the rig
+            _, _, other, less = _compiled(model.without_effect(use.effect.name, use.place))
+            native, pushes = text != other, not np.array_equal(torque, less)
         for p in use.effect.parameters:
             info = infos[prefix + p.name]
-            if prefix not in on:
+            if not (native or pushes or (prefix in on and hooks)):
                 where, how = "off", "changes nothing at these values"
             elif use.effect.where == "ball" and hooks:
                 where, how = ("MJCF" if native else "no"), "what a camera does to the ball is not part of the module"
             else:
-                where = "MJCF and module" if native and hooks else "module" if hooks else "MJCF"
-                how = ", ".join([*(["elements of the model"] if native else []), *hooks])
-            if where == "MJCF" and np.any(torque) and use.effect.where == "axis" and not hooks:
-                where, how = "MJCF and module", "elements of the model, and a constant torque by the module"
+                where = " and ".join([*(["MJCF"] if native else []), *(["module"] if hooks or pushes else [])])
+                words = (["elements of the model"] if native else []) + (["a constant torque"] if pushes else [])
+                how = ", ".join([*words, *hooks])
             yield Placement(info.name, info.value, info.unit, where, how)
     for name, value in model.quantities.items():
         if name.split(".")[0] in PLAIN:
