@@ -328,23 +328,23 @@ def _read(paths: Sequence[Path], rig: Rig | None, reading: Reading) -> TrialsRes
     options = reading.options(recordings, rig)
     try:
         return to_trials(recordings, rig, **options)
-    except InputError:
-        _refuse_several_commands(recordings, rig, options)
-        raise
+    except InputError as error:
+        raise InputError([*error.complaints, *_several_commands(recordings, rig, options)]) from error
 
 
-def _refuse_several_commands(recordings: Sequence[Recording], rig: Rig | None, options: Mapping[str, Any]) -> None:
-    """Raises InputError where whole bags of several commands were named, which is all that is wrong with them."""
+def _several_commands(recordings: Sequence[Recording], rig: Rig | None, options: Mapping[str, Any]) -> list[str]:
+    """What to name instead where whole bags of several commands were named; nothing where they hold one."""
     try:
         results = to_plays(recordings, rig, **options).results
     except InputError:
-        return
-    if len(results) > 1 and sum(len(r.bags) for r in results) == len(recordings):
-        groups = "; ".join(f"{i}: {', '.join(map(str, r.bags))}" for i, r in enumerate(results, 1))
-        raise InputError(
-            f"These bags hold {len(results)} commands, and only trials of one can be compared. Name those of one after "
-            f"--real: {groups}."
-        )
+        return []
+    if len(results) < 2 or sum(len(r.bags) for r in results) != len(recordings):
+        return []
+    groups = "; ".join(f"{i}: {', '.join(map(str, r.bags))}" for i, r in enumerate(results, 1))
+    return [
+        f"These bags hold {len(results)} commands, and only trials of one can be compared. Name those of one after "
+        f"--real: {groups}."
+    ]
 
 
 def _refuse_other_sequence(real: TrialsResult, sim: TrialsResult) -> None:
