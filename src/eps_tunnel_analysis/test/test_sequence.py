@@ -60,6 +60,12 @@ def test_a_swing_gives_its_base_back_and_a_target_is_kept(row: tuple[Shape, ...]
     assert values[-50:, 0] == pytest.approx(targets[-1] if targets else initial)
 
 
+def test_a_triangle_is_in_phase_with_its_sine() -> None:
+    """A period of 0.8 s by hand: up, down twice as far, and up again, about the base."""
+    seen = Triangle(0.8, 0.04, 1.25).values(np.arange(9) * 0.1, 0.01)
+    assert seen == pytest.approx(0.01 + 0.04 * np.array([0.0, 0.5, 1.0, 0.5, 0.0, -0.5, -1.0, -0.5, 0.0]))
+
+
 @pytest.mark.parametrize("word", sorted(SHAPES))
 def test_the_readers_words_make_the_shapes_they_name(word: str) -> None:
     numbers = {
