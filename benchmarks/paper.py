@@ -121,14 +121,18 @@ def main() -> int:
 
 
 def play_all(
-    testbed: TestbedConfig, commands: tuple[Command, ...], trials: int, seed: int, out: Path
+    testbed: TestbedConfig, commands: tuple[Command, ...], trials: int, seed: int, out: Path, longer: float = 0.0
 ) -> tuple[Play, ...]:
-    """Plays each command on the emulated rig, into a bag each, and reads them back."""
+    """Plays each command on the emulated rig, into a bag each, and reads them back.
+
+    Args:
+        longer: s for which the last target is held besides.
+    """
     bags = []
     for number, command in enumerate(tqdm(commands, desc=f"playing {commands[0].name.split('/')[0]}", leave=False)):
         _, steps = command.sample(RATE)
         # The rig rests at the initial pose; the first sample at which it is told to move comes after it.
-        held = np.vstack([command.initial, steps])
+        held = np.vstack([command.initial, steps, *[steps[-1]] * round(longer * RATE)])
         run = run_offline(testbed, np.arange(len(held)) / RATE, held, trials, seed + number)
         bags.append(write_bag(out / "bags" / command.name.replace("/", "_"), run, command.name, command.hash))
     return to_plays([read(bag) for bag in bags], load_rig("labyrinth"), signals=POSITIONS).plays
