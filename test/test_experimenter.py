@@ -157,10 +157,7 @@ def test_uneven_timing_that_is_known_of_a_rig_is_told_and_not_held_against_it(tm
     assert "early or late" in notebook(tmp_path)
 
 
-@pytest.mark.xfail(
-    reason="since axes' left-out stretches are predicted within all bounds, a limited torque and a rate "
-    "limit stay undecided after the experiment"
-)
+@pytest.mark.xfail(reason="the experiment leaves a limited torque at 75 % against a rate limit")
 def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:
     rig = OfflineRig("torque_saturation.x=medium")
     ending = ended(rig, tmp_path, ("rate_limit", "torque_saturation"), most_steps=0)
