@@ -18,7 +18,7 @@ from eps_tunnel_analysis.diagnose.falls import Three, fall_sentences
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
-from eps_tunnel_analysis.fit.calibrate import AT_BOUND
+from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.outputs import plain
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.errors import InputError, unknown_name

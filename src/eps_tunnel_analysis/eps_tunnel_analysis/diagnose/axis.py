@@ -206,7 +206,7 @@ class AxisDiagnosis:
         hypotheses: what was ranked, the base first.
         odd: signals whose trials differ as no effect of the library makes them.
         even: the ranking if uneven timing of the trials is not held against completeness.
-        parts: axis -> the ranking if it is asked of its own signals alone whether anything is left.
+        parts: axis -> the ranking if it is asked of its own signals alone whether anything is left; empty for one axis.
     """
 
     part: AxisPart
@@ -315,7 +315,8 @@ def refitted_sets(
     allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
     if search.library.candidates and (not floor or worst_floors(base.residuals, search.signal) > CLOSE * allowed):
         refits = next_refits(search, [base], more=stated_jobs(search, base))
-        base = _better_base(search, base, refits)
+        # An effect must not be named for a better start of the base.
+        base = better_base(search, base, [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]])
         refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
         best = lowest([base, *refits])
         # Without a floor nothing says when to stop, so one effect at a time is judged.
@@ -354,7 +355,7 @@ def _judged(
         part, search, base, tuple(refits), (alone, *hypotheses), _uneven(even) if uneven else even, even,
         tuple(r for _, r in differ),
     )  # fmt: skip
-    parts = {name: ranked(asked=found.samples_of(name)) for name in part.axes}
+    parts = {name: ranked(asked=found.samples_of(name)) for name in part.axes} if len(part.axes) > 1 else {}
     return replace(found, parts={name: _uneven(r) if uneven else r for name, r in parts.items()})
 
 
@@ -413,8 +414,3 @@ def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:
 
 def _positions(model: Model, part: AxisPart) -> list[str]:
     return [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
-
-
-def _better_base(search: Search, base: Refit, refits: Sequence[Refit]) -> Refit:
-    """The base from the best refits' base values, if that is lower: an effect must not be named for a better start."""
-    return better_base(search, base, [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]])

@@ -18,6 +18,7 @@ from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import jacobian
 from eps_tunnel_analysis.fit.lockstep import descend
+from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
@@ -37,7 +38,6 @@ PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corre
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps
 STANDS = 0.1  # floors by which half the step may change an answer that stands
-AT_BOUND = 1e-3  # of the bounds' span
 UNFELT = 0.02  # floors
 FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
 ROUGH = (

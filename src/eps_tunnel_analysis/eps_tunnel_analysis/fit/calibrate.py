@@ -25,6 +25,7 @@ from eps_tunnel_analysis.fit.intervals import (
 )
 from eps_tunnel_analysis.fit.methods import CmaEs, EvolutionStrategy, GaussNewton
 from eps_tunnel_analysis.fit.problem import (
+    AT_BOUND,
     CommandError,
     Dissimilarity,
     Fitness,
@@ -43,7 +44,6 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 INTERVAL_STEP = 1e-4  # of the finite differences for the intervals, normalised
-AT_BOUND = 1e-3  # normalised distance at which a value counts as at its bound
 NEGLIGIBLE_STEP = 1e-4  # normalised; a promise this close by is no promise
 PROMISED_GAIN = 0.05  # of the squared residuals; less counts as converged
 FITNESS = ("error", "srg")

@@ -21,6 +21,7 @@ from labyrinth_sim.quantities import EFFORT
 from labyrinth_sim.rig import Axis
 from labyrinth_sim.trials import Array, locked
 
+AT_BOUND = 1e-3  # normalised distance at which a value counts as at its bound
 LEAST_MOTION = 1e-4
 """rad; an axis whose command spans less stands still in a play"""
 #: Fitness of a roll-out that diverged: worse than any that did not, yet finite, so that an optimiser can rank it.

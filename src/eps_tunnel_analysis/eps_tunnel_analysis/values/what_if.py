@@ -11,7 +11,7 @@ from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
 from eps_tunnel_analysis.values.sweep import as_trials, near, with_effects
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.model import Model, ParameterInfo
+from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array, locked
 
 
@@ -62,13 +62,10 @@ def adjustable(model: Model) -> tuple[Adjustable, ...]:
                 continue
             infos = model.with_effect(effect.name, place, effect.off, "switched off").parameters()
             added = (infos[f"{effect.name}.{place}.{p.name}"] for p in effect.parameters)
-            found += [Adjustable(i.name, i.unit, i.value, i.low, i.high, held=False) for i in added if _brings_in(i)]
+            # Those that switch the effect on by themselves.
+            switches = (i for i in added if i.off is not None)
+            found += [Adjustable(i.name, i.unit, i.value, i.low, i.high, held=False) for i in switches]
     return tuple(a for a in found if a.low < a.high)
-
-
-def _brings_in(info: ParameterInfo) -> bool:
-    """Whether moving this value alone switches its effect on."""
-    return info.off is not None
 
 
 class WhatIf:
