@@ -101,6 +101,17 @@ def test_what_is_free_by_default_is_what_the_drives_and_effects_say() -> None:
         free_parameters(model, ["drive.x.q"])
 
 
+def test_what_only_an_effort_tells_of_a_drive_is_free_where_none_is_compared() -> None:
+    model = load_model("pendulum")
+    (axis,) = model.rig.axes
+    assert model.drives[axis.name].kind.told_by_effort == ("duty_gain",)
+    effort = replace(axis.measured[0], signal="duty", quantity="torque")
+    model = replace(model, rig=replace(model.rig, axes=(replace(axis, measured=(*axis.measured, effort)),)))
+    gain = f"drive.{axis.name}.duty_gain"
+    assert gain in default_free(model, signals=["pendulum"])
+    assert gain not in default_free(model, signals=["pendulum", "duty"])
+
+
 def test_every_default_free_parameter_of_every_model_exists() -> None:
     for name in ("labyrinth", "horn", "pendulum", "two_link_arm"):
         model = load_model(name)

@@ -116,6 +116,38 @@ def test_a_recording_that_saturates_does_not_spoil_the_proposed_drive(tmp_path: 
     assert 0.05 < found.values["torque"].value < 1.0
 
 
+PENDULUM = """<mujoco model="pendulum"><compiler angle="radian" autolimits="true"/>
+  <option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+  <joint name="pendulum" axis="0 1 0" range="-1.6 1.6"/>
+  <geom type="sphere" pos="0 0 -0.1" size="0.01" mass="1.0"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("weight", "kind"), [(9.81, "pwm_servo"), (0.0, "torque_pd")])
+def test_a_drive_that_gives_way_to_the_weight_is_one_by_duty_cycle(tmp_path: Path, weight: float, kind: str) -> None:
+    """20 N m/rad under 0.98 N m, with 1.2 N m s/rad of back-EMF; without the weight nothing shows that it gives way."""
+    (tmp_path / "pendulum.xml").write_text(PENDULUM)
+    robot = read_robot(tmp_path / "pendulum.xml")
+    inertia, load = inertia_of(robot, "pendulum")
+    assert load == pytest.approx(0.98, rel=0.01)
+    time = np.arange(600) * STEP
+    target = 0.9 * np.sin(2.0 * time) + 0.4 * np.sin(5.0 * time)
+    angle = speed = 0.0
+    seen = []
+    for goal in target:
+        seen.append(angle)
+        for _ in range(50):
+            torque = 20.0 * (goal - angle) - 1.2 * speed - 0.1 * weight * np.sin(angle)
+            speed += STEP / 50 * torque / inertia
+            angle += STEP / 50 * speed
+    sample = Sampled(time, target, np.array(seen), np.full(len(time), np.nan))
+    found = propose_drive(robot, "pendulum", [sample], 1.0, 0.0, "", "none recorded")
+    assert found.kind == kind
+    if weight:
+        values = {name: one.value for name, one in found.values.items()}
+        stall = values["torque_constant"] * values["voltage"] / values["resistance"]
+        assert values["kp"] * values["duty_gain"] * stall == pytest.approx(20.0, rel=0.1)
+
+
 def played(model: Model, seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     time = np.arange(int(seconds / STEP)) * STEP
     random = np.random.default_rng(seed)

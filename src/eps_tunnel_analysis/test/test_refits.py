@@ -10,7 +10,10 @@ from fit_cases import TRUTH as SLOW
 
 from eps_tunnel_analysis.diagnose.axis import nested_refits, rival_refits, stated_jobs
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.base_values import along_valley
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
+from eps_tunnel_analysis.diagnose.experiment import was_played
+from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
@@ -53,6 +56,17 @@ def test_the_order_of_the_trials_does_not_matter(recorded: list[Play]) -> None:
     assert other.mean == pytest.approx(one.mean, abs=1e-12)
     assert other.floor == pytest.approx(one.floor, rel=1e-9)
     assert misfit(other) == pytest.approx(misfit(one), rel=1e-6)
+
+
+def test_a_command_that_was_recorded_is_known_as_such(recorded: list[Play]) -> None:
+    offered = menu(start(), "x")
+    command = offered["steps_x_40"]
+    time, targets = command.sample(100.0)
+    late = np.maximum(np.arange(len(time)) - 1, 0)  # a sample late, as a player may be
+    played = Play("steps", made_by(start(), targets[late]))
+    evidence = evidence_of([*recorded, played])
+    assert [name for name, other in offered.items() if was_played(evidence, other)] == ["steps_x_40"]
+    assert not was_played(evidence_of(recorded), command)
 
 
 def test_trials_on_clocks_of_their_own_say_the_same(recorded: list[Play]) -> None:
@@ -156,6 +170,21 @@ def test_effects_are_tried_beside_values_as_stated_where_the_base_strays_from_th
     assert all(values[column] == search.start[column] for _, values in jobs)
 
 
+def test_a_direction_that_moves_only_some_values_leads_along_the_valley(
+    recorded: list[Play], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = part_search(start().with_values(TRUTH), recorded)
+    here = refit(search, (), 1.0)
+    free = search.fitted(here)[: len(search.library.base) - search.library.rough]
+    here.values[free[0]] = search.low[free[0]]  # rests at its bound, and has no part in the direction
+    slopes = np.zeros((len(search.used), len(search.fitted(here))))
+    slopes[: len(free), : len(free)] = np.diag([2.0] * (len(free) - 1) + [1.0])
+    monkeypatch.setattr(search, "jacobian", lambda _: slopes)
+    for point in along_valley(search, here):
+        assert np.all((search.low <= point) & (point <= search.high))
+        assert np.flatnonzero(point != here.values).tolist() == [free[-1]]
+
+
 # ---- sets that contain others
 
 
@@ -200,6 +229,18 @@ def test_it_is_started_again_from_the_one_that_it_contains(search: Search) -> No
     (found,) = nested_refits(search, base, [stuck])
     assert found.converged
     assert found.cost < 1.02 * base.cost
+
+
+def test_a_set_starts_within_its_bounds_though_what_it_contains_goes_further(recorded: list[Play]) -> None:
+    part = next(p for p in axis_parts(start(), recorded) if p.name == "x")
+    search = axis_search(start(), recorded, part, SearchOptions(("coulomb_friction", "stribeck_friction"), 1))
+    fitted: list[np.ndarray] = []
+    search.judged = lambda jobs, rounds: fitted.extend(values for _, values in jobs) or []  # type: ignore[assignment]
+    speed = search.library.names.index("stribeck_friction.x.speed")
+    search.high[speed] = 0.5 * search.high[speed]  # as on an axis that is small
+    small = refit(search, ("coulomb_friction.x",), 1.0, torque=0.2)
+    nested_refits(search, refit(search, (), 9.0), [small, refit(search, ("stribeck_friction.x",), 4.0)])
+    assert fitted and all(np.all((search.low <= v) & (v <= search.high)) for v in fitted)
 
 
 def test_a_drives_value_is_mistaken_for_no_effect(search: Search) -> None:

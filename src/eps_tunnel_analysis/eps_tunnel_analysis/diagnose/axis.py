@@ -163,7 +163,9 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> list[
 
 
 def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
-    """(K,) values at which the larger set does what the smaller one does, None where it cannot."""
+    """(K,) values at which the larger set does what the smaller one does, as far as its bounds let it; None where it
+    cannot.
+    """
     values = smaller.values.copy()
     left = [name for name in larger.effects if name not in smaller.effects]
     for name in (n for n in smaller.effects if n not in larger.effects):
@@ -186,7 +188,7 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
         for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
             if p.off is not None:
                 values[column] = p.off + 0.05 * (p.typical - p.off)
-    return values
+    return np.clip(values, search.low, search.high)
 
 
 def _place(candidate: Candidate, parameter: str) -> int:

@@ -173,8 +173,8 @@ def along_valley(search: Search, refit: Refit) -> list[Array]:
     for sign in (1.0, -1.0):
         here = (refit.values - search.low)[columns] / span
         way = sign * weakest
-        with np.errstate(divide="ignore"):
-            room = float(np.min(np.where(way > 0.0, (1.0 - here) / way, -here / way)))
+        ahead = np.where(way > 0.0, 1.0 - here, here)[way != 0.0]
+        room = float(np.min(ahead / np.abs(way[way != 0.0])))
         tried = np.tile(refit.values, (VALLEY_POINTS, 1))
         tried[:, columns] += np.linspace(0.0, room, VALLEY_POINTS + 1)[1:, None] * way * span
         tried = np.clip(tried, search.low, search.high)

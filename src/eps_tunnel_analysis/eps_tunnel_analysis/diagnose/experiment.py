@@ -17,6 +17,7 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SETTLED, is_steady
+from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.search import Refit
@@ -31,6 +32,9 @@ STEP = 0.0025  # s, MuJoCo's
 ENOUGH = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood, at worst
 STOP = 0.98  # of an axis's range, beyond which it is at its stop
 WORTH = 0.35  # the same, for a command no harsher than those recorded: there the model leaves no more than it did
+
+SAME = 0.3  # of a command's root mean square, by which a recording of it may differ, as by a sample's delay, and
+SAME_LENGTH = 0.5  # s; commands of the menu differ by more
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def next_experiment(
     they differ most.
 
     Where the only rival of an effect is something unknown, the one that shows most of the effect; None where there is
-    neither.
+    neither. What was played already is not proposed again: where it left the rivals undecided, so will one more.
 
     Args:
         floor: whether the noise floor is known; if not, what the best model leaves is the unit.
@@ -109,6 +113,8 @@ def next_experiment(
         start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
         offered = [(own, item) for own in axis.part.axes for item in menu(model, own).items()]
         for own, (name, command) in offered:
+            if was_played(axis.search.evidence, command):
+                continue
             answers, harsh = _answers(axis, own, rivals, command, 1.0 if floor else math.sqrt(axis.best.cost), known)
             # The two that stay closest count: what tells a third rival from both decides nothing.
             size = math.sqrt(
@@ -132,6 +138,18 @@ def chosen(offers: Sequence[tuple[Experiment, Harsh]]) -> Experiment | None:
     if gentle or (deciding and not tested):
         return min(gentle or deciding, key=lambda offer: offer[1].acceleration)[0]
     return max((o for o, _ in tested or offers), key=lambda o: o.misfit, default=None)
+
+
+def was_played(evidence: Evidence, command: Command) -> bool:
+    """Whether one of the recordings is of this command."""
+    at, asked = command.sample(RATE)
+    for number, recorded in enumerate(evidence.commands):
+        time = evidence.times(number)
+        if abs(time[-1] - command.duration) < SAME_LENGTH:
+            apart = recorded - asked[np.searchsorted(at, time + 1e-9, side="right") - 1]
+            if np.nanmean(apart**2) < SAME**2 * np.mean(asked**2):
+                return True
+    return False
 
 
 def _harshest(axis: AxisDiagnosis, values: Array) -> float:

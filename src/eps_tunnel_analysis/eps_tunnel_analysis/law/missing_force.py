@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array, diags_array
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.rank import worst_floors
@@ -26,6 +27,7 @@ DECAYED = 1.5  # s after which a push is forgotten, so that one roll-out answers
 PUSH = 0.2  # of the drive's torque, root mean square: to see how the motion answers
 LEAST_PUSH = 1e-4  # N m
 SMOOTH = np.geomspace(1e-3, 1e3, 7)  # of the curvature's weight, tried
+AT_ONCE = 512  # columns of an inverse
 LEFT_OUT = 4  # neighbouring samples, left out together
 FOLDS = 2
 PASSES = 6  # linearisations at most, and
@@ -41,7 +43,7 @@ class PlayAnswer:
         motion: of the axis, with the missing force added.
         nodes: (n,) s.
         residuals: (R,) that the model leaves without any force.
-        answer: (R, n) by the force at each node, 1/(N m).
+        answer: (R, n) by the force at each node, 1/(N m); few of them, for a push is soon forgotten.
         base: (R, k) by the values refitted besides, each in shares of its bounds' span.
         time: (R,) s; `signal` (R,) which of the compared; `fold` (R,) stretch of time.
         scale: (R,) the noise floor in the signal's unit.
@@ -51,7 +53,7 @@ class PlayAnswer:
     motion: Motion
     nodes: Array
     residuals: Array
-    answer: Array
+    answer: csr_array
     base: Array
     time: Array
     signal: NDArray[np.int64]
@@ -110,7 +112,7 @@ def missing_force(
     owner = np.repeat(np.arange(len(sizes)), sizes)
     first = np.concatenate([[0], np.cumsum(sizes)])
     forces = [np.zeros(playing.count(p)) for p in range(len(plays))]
-    grids = [_grid(playing.evidence[p].times(0)) for p in range(len(plays))]
+    grids = [_nodes(playing.evidence[p].times(0)) for p in range(len(plays))]
     smoothness = 1.0
     answers: list[PlayAnswer] = []
     for number in range(passes):
@@ -127,7 +129,7 @@ def missing_force(
         for p, (motion, nodes, residuals, answer, base) in enumerate(parts):
             mine = owner[search.used] == p
             force, band = _smoothed(residuals, answer, smoothness)
-            forces[p] = grids[p][1].T @ force
+            forces[p] = np.interp(playing.evidence[p].times(0), nodes, force)
             answers.append(
                 PlayAnswer(
                     motion, nodes, residuals, answer, base, search.evidence.time[search.used][mine],
@@ -141,46 +143,45 @@ def missing_force(
     return MissingForce(part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors)
 
 
-def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, Array, Array]]) -> bool:
+def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, csr_array, Array]]) -> bool:
     """Whether roll-outs with the forces found leave what the last linearisation promised."""
     promised = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     left = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
     return bool(np.mean((left - promised) ** 2) < SETTLED * max(float(np.mean(promised**2)), 1.0))
 
 
-def _grid(times: Array) -> tuple[Array, Array]:
-    """(n,) s of the nodes and (n, K) weight of each at each step, linear between nodes."""
-    count = max(2, round(times[-1] / SPACING) + 1)
-    nodes = np.linspace(0.0, times[-1], count)
-    place = np.clip(times / times[-1] * (count - 1), 0.0, count - 1.0)
-    weights = np.clip(1.0 - np.abs(place[None, :] - np.arange(count)[:, None]), 0.0, 1.0)
-    return nodes, weights
+def _nodes(times: Array) -> Array:
+    """(n,) s, over the steps (K,) of a roll-out."""
+    return np.linspace(0.0, times[-1], max(3, round(times[-1] / SPACING) + 1))
 
 
 def _linearised(
-    playing: Playing, play: int, force: Array, grid: tuple[Array, Array], used: NDArray[np.int64], scale: Array,
-    span: Array,
-) -> tuple[Motion, Array, Array, Array, Array]:  # fmt: skip
+    playing: Playing, play: int, force: Array, nodes: Array, used: NDArray[np.int64], scale: Array, span: Array
+) -> tuple[Motion, Array, Array, csr_array, Array]:
     """Motion, nodes, residuals without any force, and how they answer forces at the nodes and base values."""
-    nodes, weights = grid
     motion = playing.motion(play, force)
     push = max(PUSH * float(np.sqrt(np.mean(motion.drive**2))), LEAST_PUSH)
     apart = max(1, round(DECAYED / (nodes[1] - nodes[0])))
     rows = min(apart, len(nodes))
     table = np.tile(force, (rows + 1, 1))
     for row in range(rows):
-        table[row + 1] += push * weights[row::apart].sum(axis=0)
+        pushed = np.arange(len(nodes)) % apart == row
+        table[row + 1] += push * np.interp(playing.evidence[play].times(0), nodes, pushed.astype(float))
     seen = playing.residuals(play, table)[:, used] / scale
     changes = np.nan_to_num(seen[1:] - seen[0]) / push
     evidence = playing.evidence[play]
     time = evidence.time[used]
-    answer = np.zeros((len(used), len(nodes)))
+    samples, columns, answers = [], [], []
     for row in range(rows):
         own = np.arange(row, len(nodes), apart)
         # Of several pushes the last one before a sample is what it answers; a node acts from the one before on.
         last = np.searchsorted(nodes[own] - (nodes[1] - nodes[0]), time, side="right") - 1
         known = np.flatnonzero(last >= 0)
-        answer[known, own[last[known]]] = changes[row, known]
+        samples.append(known)
+        columns.append(own[last[known]])
+        answers.append(changes[row, known])
+    at = np.concatenate(samples), np.concatenate(columns)
+    answer = csr_array((np.concatenate(answers), at), shape=(len(used), len(nodes)))
     base = np.empty((len(used), len(playing.values)))
     if len(playing.values):
         infos = playing.model.parameters()
@@ -194,37 +195,48 @@ def _linearised(
     return motion, nodes, seen[0] - answer @ at_nodes, answer, base
 
 
-def _penalty(count: int) -> Array:
-    """(n, n) of the squared curvature, and a little of the force itself, where nothing is seen of it."""
-    bends = np.diff(np.eye(count), 2, axis=0)
-    return np.asarray(bends.T @ bends + 1e-4 * np.eye(count))
+def _penalised(gram: csr_array, weight: float) -> Array:
+    """(b, n) lower bands of the Cholesky factor of `gram` (n, n) with a penalty on the squared curvature, and a little
+    on the force itself, where nothing is seen of it.
+    """
+    count = gram.shape[0]
+    bends = diags_array([1.0, -2.0, 1.0], offsets=(0, 1, 2), shape=(count - 2, count))
+    size = max(float(gram.trace()) / count, 1e-30)
+    whole = gram + weight * size * (bends.T @ bends + diags_array(np.full(count, 1e-4)))
+    rows, columns = whole.nonzero()
+    width = int(np.max(rows - columns))
+    return np.asarray(cholesky_banded([np.pad(whole.diagonal(-k), (0, k)) for k in range(width + 1)], lower=True))
 
 
-def _scaled_penalty(gram: Array, weight: float) -> Array:
-    size = float(np.trace(gram)) / len(gram)
-    return weight * max(size, 1e-30) * _penalty(len(gram))
+def _solved(factor: Array, right: Array) -> Array:
+    return np.asarray(cho_solve_banded((factor, True), right))
 
 
-def _smoothed(residuals: Array, answer: Array, weight: float) -> tuple[Array, Array]:
+def _smoothed(residuals: Array, answer: csr_array, weight: float) -> tuple[Array, Array]:
     """(n,) force and its standard deviation."""
-    gram = answer.T @ answer
-    factor = cho_factor(gram + _scaled_penalty(gram, weight))
-    force = -cho_solve(factor, answer.T @ residuals)
+    factor = _penalised(answer.T @ answer, weight)
+    force = -_solved(factor, answer.T @ residuals)
     left = float(np.mean((residuals + answer @ force) ** 2))
     spread = max(left, 1.0) * SETTINGS.correlated / 10.0
-    inverse = cho_solve(factor, np.eye(len(gram)))
-    return np.asarray(force), np.sqrt(spread * np.diag(inverse))
+    variance = np.empty(len(force))
+    for begin in range(0, len(force), AT_ONCE):
+        own = np.arange(begin, min(begin + AT_ONCE, len(force)))
+        unit = np.zeros((len(force), len(own)))
+        unit[own, np.arange(len(own))] = 1.0
+        variance[own] = _solved(factor, unit)[own, np.arange(len(own))]
+    return force, np.sqrt(spread * variance)
 
 
-def _bandwidth(parts: Sequence[tuple[Array, Array]]) -> float:
+def _bandwidth(parts: Sequence[tuple[Array, csr_array]]) -> float:
     """The weight of the curvature by which left-out samples are predicted best."""
     costs = np.zeros(len(SMOOTH))
     for residuals, answer in parts:
         fold = (np.arange(len(residuals)) // LEFT_OUT) % FOLDS
         for f in range(FOLDS):
             out = fold == f
-            gram, right = answer[~out].T @ answer[~out], answer[~out].T @ residuals[~out]
+            kept = answer[~out]
+            gram, right = kept.T @ kept, kept.T @ residuals[~out]
             for i, weight in enumerate(SMOOTH):
-                force = -cho_solve(cho_factor(gram + _scaled_penalty(gram, weight)), right)
+                force = -_solved(_penalised(gram, weight), right)
                 costs[i] += float(np.sum((residuals[out] + answer[out] @ force) ** 2))
     return float(SMOOTH[int(np.argmin(costs))])

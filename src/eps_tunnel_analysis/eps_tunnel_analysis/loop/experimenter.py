@@ -49,7 +49,7 @@ class Plan:
     sequence: str = "excite_12s"
     trials: int = 3
     most_steps: int = 5
-    most_experiments: int = 2
+    most_experiments: int = 3
     search: DiagnosisOptions = field(default_factory=DiagnosisOptions)
     recordings: tuple[Path, ...] = ()
     replay: bool = False

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which kind of drive a joint's recordings look like, and with which values to begin.
 
-Where an effort is recorded the law is read from it: effort = K (target - angle) - C speed, a straight line. Else the
-answer of a first and of a second order to the commands are fitted, and the better one decides.
+Where an effort is recorded the law is read from it: effort = K (target - angle) - C speed, a straight line. Where none
+is, but the joint stays behind its target in proportion to its weight, the drive gives way as a P control of the duty
+cycle does. Else the answer of a first and of a second order to the commands are fitted, and the better one decides.
 """
 
 from collections.abc import Sequence
@@ -18,12 +19,15 @@ from labyrinth_sim.trials import Array
 LAW = 0.9  # share of the effort's variance that a straight law explains, from which it is one
 ANSWERS = 4  # recordings on which orders are fitted, at most, and
 FITTED = 1500  # samples on which orders are fitted
+YIELDS = 0.5  # share of what else the error leaves that the weight explains, from which the drive gives way to it
 BETTER = 0.8  # of the first order's error, at most, for the second to be worth its values
 FASTEST = 25.0  # 1/s, of velocity_pid's P
 DELAYS = (0.0, 0.01, 0.02, 0.03, 0.05)  # s
 ROUND = 3  # digits of proposed values
 INERTIA = 0.4  # share of the effort's variance that the model's own inverse dynamics explains, for its unit to be told
 DUTY_GAIN = 0.01  # 1/rad; only its product with kp is known
+STALL = 3.0  # times the largest load of gravity, that full duty gives
+FEWEST = 20  # samples that tell a law
 ROOM = 2.0  # of a drive's torque over what the recorded motion needs
 NEAR = 1.33  # times what it gives, up to which the effort is in that unit
 
@@ -168,18 +172,8 @@ def propose_drive(
             told = f"effort = {line} explains {share:.1%} of it"
             if unit == "duty":
                 gains = tuple(_law([s], scale, zero)[1] / DUTY_GAIN for s in samples)
-                stall = limit or 3.0 * load or 1.0
-                values = {
-                    "kp": Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {told}"),
-                    "duty_gain": Proposed(DUTY_GAIN, f"1/{rad}", "a scale, so that kp is near those of registers"),
-                    "voltage": Proposed(12.0, "V", "a usual supply; only voltage over resistance matters"),
-                    "resistance": Proposed(5.0, "ohm", "a usual winding; to be fitted"),
-                    "torque_constant": Proposed(
-                        _round(stall * 5.0 / 12.0), f"{n}/A",
-                        limit_why or "so that full duty gives three times the largest load; to be fitted",
-                    ),
-                    "delay": Proposed(0.0, "s", "to be fitted"),
-                }  # fmt: skip
+                kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {told}")
+                values = _duty_values(kp, robot, joint)
                 return DriveProposal("pwm_servo", f"duty follows the error: {told}", values, unit, unit_why, gains)
             if unit == n:
                 torque = most if limited else 1.2 * most
@@ -194,6 +188,12 @@ def propose_drive(
                     "delay": Proposed(0.0, "s", "to be fitted"),
                 }  # fmt: skip
                 return DriveProposal("torque_pd", f"effort is a PD law on the error: {told}", values, unit, unit_why)
+    share, k = _yielding(robot, joint, samples, scale, zero) if not unit else (0.0, 0.0)
+    if share > YIELDS:
+        told = f"it gives way to its weight by {k:.3g} {n}/{rad}, which explains {share:.0%} of what speed does not"
+        kp = Proposed(_round(k / DUTY_GAIN / (limit or STALL * load)), "1", "so that full duty times it is that")
+        values = _duty_values(kp, robot, joint)
+        return DriveProposal("pwm_servo", told, values, unit, unit_why)
     first, second = _orders(samples, scale, zero)
     ratio = second[0] / max(first[0], 1e-300)
     straight = bool(unit) and _laws(samples, scale, zero)[0] > LAW
@@ -245,6 +245,62 @@ def propose_drive(
         unit,
         unit_why,
     )
+
+
+def _duty_values(kp: Proposed, robot: Robot, joint: str) -> dict[str, Proposed]:
+    """Values of a drive by duty cycle with the gain `kp`, per DUTY_GAIN."""
+    n, rad = ("N", "m") if _slides(robot, joint) else ("N m", "rad")
+    limit, why = _model_torque(robot, joint)
+    stall = limit or STALL * inertia_of(robot, joint)[1] or 1.0
+    return {
+        "kp": kp,
+        "duty_gain": Proposed(DUTY_GAIN, f"1/{rad}", "a scale, so that kp is near those of registers"),
+        "voltage": Proposed(12.0, "V", "a usual supply; only voltage over resistance matters"),
+        "resistance": Proposed(5.0, "ohm", "a usual winding; to be fitted"),
+        "torque_constant": Proposed(
+            _round(stall * 5.0 / 12.0),
+            f"{n}/A",
+            why or f"so that full duty gives {STALL:g} times the largest load; to be fitted",
+        ),
+        "delay": Proposed(0.0, "s", "to be fitted"),
+    }
+
+
+def _yielding(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float]:
+    """How much of what else the error leaves the weight explains, and the stiffness with which the drive bears it,
+    N m/rad (N/m): the median of the recordings whose error (target - angle) a straight law explains.
+
+    error = (inertia acceleration + weight) / K + c speed + f sign(speed): what a P control of the duty cycle leaves.
+    """
+    mj, data = robot.mj, mujoco.MjData(robot.mj)
+    at = robot.mj.joint(joint)
+    found, inertia = [], inertia_of(robot, joint)[0]
+    for s in samples:
+        q, v, a = derivatives(s, scale, zero)
+        error = scale * (s.target - zero) - q
+        rows = np.flatnonzero(np.isfinite(error))
+        weight = np.zeros(len(rows))
+        for i, row in enumerate(rows):
+            data.qpos[:] = mj.qpos0
+            data.qpos[int(at.qposadr[0])] = q[row]
+            mujoco.mj_forward(mj, data)
+            weight[i] = data.qfrc_bias[int(at.dofadr[0])]
+        if len(rows) < FEWEST or np.ptp(weight) == 0.0:
+            continue
+        others = np.column_stack([inertia * a, v, np.sign(v), np.ones_like(v)])[rows]
+        columns = np.column_stack([weight, others])
+        slope = float(np.linalg.lstsq(columns, error[rows], rcond=None)[0][0])
+        left, without = (float(np.var(_beside(c, error[rows]))) for c in (columns, others))
+        if slope > 0.0 and left < (1.0 - LAW) * float(np.var(error[rows])):
+            found.append((1.0 - left / without, 1.0 / slope))
+    if len(found) < len(samples) / 3:
+        return 0.0, 0.0
+    return float(np.median([share for share, _ in found])), float(np.median([k for _, k in found]))
+
+
+def _beside(columns: Array, wanted: Array) -> Array:
+    """What a straight law in `columns` leaves of `wanted`."""
+    return np.asarray(wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0])
 
 
 def _error(samples: Sequence[Sampled], scale: float) -> float:

@@ -74,6 +74,7 @@ DRIVE = Drive(
     by_duty=True,
     full=full,
     free=("resistance", "torque_constant", "joint.armature", "delay"),
+    told_by_effort=("duty_gain",),
     uncertain=("feedback_delay",),
-    loose=("resistance", "torque_constant", "joint.armature"),
+    loose=("resistance", "torque_constant", "joint.armature", "duty_gain"),
 )
