@@ -2,10 +2,8 @@
 """What player and analysis node say to the parameters that they are started with."""
 
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import ModuleType
 
@@ -13,8 +11,6 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
-
-from rcl_interfaces.srv import GetParameters  # noqa: E402
 
 from eps_tunnel_analysis.nodes import analysis_node, player  # noqa: E402
 from eps_tunnel_analysis.nodes.rig_processes import executable  # noqa: E402
@@ -70,29 +66,3 @@ def test_a_parameter_file_and_remapping_are_taken(domain: int, tmp_path: Path, n
     done = started(domain, "player", "--params-file", str(file), *space, *remapped)
     assert done.returncode == 1
     assert "Nobody listens to /other/targets" in done.stderr
-
-
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("name", ["player", "analysis_node"])
-def test_a_node_ends_on_a_signal_where_no_clock_runs(domain: int, tmp_path: Path, name: str, how: int) -> None:
-    command = [str(executable("eps_tunnel_analysis", name)), "--ros-args", "-p", "use_sim_time:=true"]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=domain)
-    watcher = rclpy.create_node("watcher", context=context)
-    executor = rclpy.executors.SingleThreadedExecutor(context=context)
-    spins = watcher.create_client(GetParameters, f"/{name}/get_parameters")
-    node = subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    try:
-        end = time.monotonic() + 120.0
-        while not spins.service_is_ready():
-            assert time.monotonic() < end and node.poll() is None
-            time.sleep(0.05)
-        rclpy.spin_until_future_complete(watcher, spins.call_async(GetParameters.Request()), executor)
-        node.send_signal(how)
-        _, errors = node.communicate(timeout=120)
-    finally:
-        node.kill()
-        watcher.destroy_node()
-        context.try_shutdown()
-    assert node.returncode == 0, errors

@@ -14,6 +14,7 @@ from typing import IO, Any
 import pytest
 
 PATIENCE = 180.0  # s; only what hangs takes so long
+SOON = 2.0  # s from a signal to the end of a node
 ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("labyrinth_msgs") is not None
 ROS_IN_REAL_TIME = [
     pytest.mark.skipif(not ROS, reason="rclpy or labyrinth_msgs not importable: source env.bash first"),
@@ -104,10 +105,10 @@ class Bench:
             command, env=self.environment, stdin=subprocess.PIPE, stdout=out, stderr=errors, text=True
         )
 
-    def ended(self) -> tuple[int, str]:
-        """Waits for the end of the node started last; its exit code, and what it told on stderr."""
+    def ended(self, within: float = PATIENCE) -> tuple[int, str]:
+        """Waits, s, for the end of the node started last; its exit code, and what it told on stderr."""
         assert self.node is not None
-        return self.node.wait(PATIENCE), self._told.read_text()
+        return self.node.wait(within), self._told.read_text()
 
     def tell(self, fault: str) -> None:
         """Give the testbed an order and wait until it obeyed."""

@@ -4,7 +4,7 @@
 import signal
 
 import pytest
-from hw_bench import ROS_IN_REAL_TIME, Bench
+from hw_bench import ROS_IN_REAL_TIME, SOON, Bench
 
 pytestmark = ROS_IN_REAL_TIME
 GOAL, LEVEL = (0.04, -0.03), (0.0, 0.0)
@@ -139,7 +139,7 @@ def test_without_a_clock_it_measures_stamps_no_negative_time_and_ends(bench: Ben
     assert {(s.header.stamp.sec, s.header.stamp.nanosec) for s in bench.states} == {(0, 0)}
     assert bench.node is not None
     bench.node.send_signal(how)
-    assert bench.ended()[0] == 0
+    assert bench.ended(SOON)[0] == 0
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -148,4 +148,4 @@ def test_it_ends_while_it_waits_for_its_ports(bench: Bench, how: int) -> None:
     bench.until(lambda: bench.has_node("hw_node"), "the node")
     assert bench.node is not None
     bench.node.send_signal(how)
-    assert bench.ended()[0] == 0
+    assert bench.ended(SOON)[0] == 0

@@ -23,6 +23,7 @@ from labyrinth_msgs.msg import BallState  # noqa: E402
 
 START = "from labyrinth_sim.nodes.sim_node import main; main()"
 PATIENCE = 180.0  # s; only what hangs takes so long
+SOON = 2.0  # s from a signal to the end of the node
 pytestmark = pytest.mark.realtime
 
 
@@ -149,9 +150,10 @@ def test_without_a_clock_it_simulates_and_ends(watcher: Watcher, how: int) -> No
     try:
         watcher.until(lambda: len(watcher.states) > 20)
         assert all(state.header.stamp.sec >= 0 for state in watcher.states)
-    finally:
         node.send_signal(how)
-        _, errors = node.communicate(timeout=PATIENCE)
+        _, errors = node.communicate(timeout=SOON)
+    finally:
+        node.kill()
     assert node.returncode == 0, errors
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.action import ActionClient
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from eps_tunnel_analysis.monitor.access import SHORTEST_TOKEN, is_loopback, new_token
@@ -136,8 +137,9 @@ class Monitor(TunnelNode):
         self._session = Session(self._state, self._steps, self, out, model, candidates)
         token = token or (new_token() if ask_token else "")
         self._server = MonitorServer(self._state, host, port, token, self._session.ask, self._session.reports)
-        self.create_timer(LOOK_PERIOD, self._look)
-        self.create_timer(1.0, self._check_processes)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # the page, and the end of a run, must not wait for /clock
+        self.create_timer(LOOK_PERIOD, self._look, clock=steady)
+        self.create_timer(1.0, self._check_processes, clock=steady)
         self.get_logger().info(f"Open {self._server.address}")
 
     @property
