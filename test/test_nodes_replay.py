@@ -23,6 +23,7 @@ from eps_tunnel_analysis.recording.decode import JOINT_STATE, TRIAL, typestore
 from labyrinth_msgs.msg import LiveCounters, Srg
 
 pytestmark = pytest.mark.realtime
+WORD = "std_msgs/msg/String"
 STORE = typestore()
 TYPES: Any = STORE.types
 SECOND = 1_000_000_000
@@ -67,10 +68,11 @@ def place(tmp_path: Path, domain: int) -> Iterator[Workplace]:
         yield it
 
 
-def replayed(place: Workplace, *arguments: object) -> subprocess.CompletedProcess[str]:
+def replayed(place: Workplace, *arguments: object, **variables: str) -> subprocess.CompletedProcess[str]:
+    """`eps-tunnel replay` to its end, with other variables of the environment."""
     command = [str(executable("eps_tunnel_analysis", "eps_tunnel")), "replay", *map(str, arguments)]
     with subprocess.Popen(
-        command, env=place.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, env={**place.environment, **variables}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         place.until(lambda: process.poll() is not None)
         out, err = process.communicate()
@@ -107,6 +109,40 @@ def test_what_cannot_be_replayed_is_refused(place: Workplace, bags: list[Path], 
         done = replayed(place, place.folder / "nothing")
         assert "no such bag" in done.stderr
     assert done.returncode == 2
+
+
+ILLEGAL = {  # name -> what is told of it
+    "/a b": "/a b",
+    "//x": "//x",
+    "1abc": "1abc",
+    "/real/1abc": "/real/1abc",
+    "": "must not be empty",
+    "/": "must not end with",
+    "/real/{side}": "{side}",
+    "/real/\x1b[2Jx": "\\x1b[2Jx",  # would clear a terminal
+    "/real/joint_commands\0x": "\\x00x",  # C reads /real/joint_commands
+    "/" + "long" * 100: "length",
+}
+
+
+def test_names_that_are_no_topics_are_refused_before_anything_is_created(
+    place: Workplace, bags: list[Path], tmp_path: Path
+) -> None:
+    word = bytes(STORE.serialize_cdr(TYPES[WORD]("x"), WORD))
+    with BagWriter(tmp_path / "odd") as writer:
+        for topic in ("/fine", *ILLEGAL):
+            writer.add_topic(topic, WORD)
+            writer.write(topic, BEGIN, word)
+    # ROS would not begin on such a domain.
+    done = replayed(place, tmp_path / "odd", *bags, ROS_DOMAIN_ID="none")
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr and "\x1b[2J" not in done.stderr
+    complaints = [line for line in done.stderr.splitlines() if "A bag's topic" in line]
+    assert len(complaints) == len(ILLEGAL), done.stderr
+    assert all(any(words in line for line in complaints) for words in ILLEGAL.values())
+    done = replayed(place, tmp_path / "odd", "--topics", "/fine", "--wait", 0)
+    assert done.returncode == 0, done.stderr
+    assert "Published 1 messages on 1 topics" in done.stdout
 
 
 def test_a_rig_that_runs_gets_no_recorded_commands(place: Workplace, bags: list[Path]) -> None:

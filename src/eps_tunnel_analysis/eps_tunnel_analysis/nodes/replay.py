@@ -97,14 +97,23 @@ def _kinds(bags: Sequence[Bag], asked: Sequence[str]) -> dict[str, str]:
                     f"{bag.path}: topic '{topic.name}' is a {topic.type}, in an earlier bag a {kinds[topic.name]}."
                 )
     complaints += [unknown_name("topic", name, kinds) for name in asked if name not in kinds]
-    for name in kinds:
-        try:
-            validate_full_topic_name(name)
-        except InvalidTopicNameException as error:
-            complaints.append(f"A bag's topic '{name[:100]}' is no legal name ({error}).")
+    chosen = {name: kind for name, kind in kinds.items() if not asked or name in asked}
+    complaints += [f"A bag's topic {name[:100]!r}: {wrong}. Leave it out by --topics." for name in chosen
+                   if (wrong := _illegal(name))]  # fmt: skip
     if complaints:
         raise InputError(complaints)
-    return {name: kind for name, kind in kinds.items() if not asked or name in asked}
+    return chosen
+
+
+def _illegal(name: str) -> str:
+    """Why ROS takes no such topic; empty where it does."""
+    if "\0" in name:  # to rcl the name would end there, and be another one
+        return "topic name must not contain NUL"
+    try:
+        validate_full_topic_name(name)
+    except InvalidTopicNameException as error:  # its further lines show the name, whatever that does to a terminal
+        return str(error).split("\n")[0].removeprefix("Invalid topic name: ").rstrip(":")
+    return ""
 
 
 def _rows(bags: Sequence[Bag], kinds: Mapping[str, str]) -> Iterator[tuple[int, str, bytes]]:
