@@ -52,6 +52,11 @@ def names(kind: str) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
+def typed_path(text: str | Path) -> Path:
+    """A path as a person types it: `~` and `~user` are home folders; of a user that is not there it stays as it is."""
+    return Path(os.path.expanduser(text))  # Path.expanduser would raise
+
+
 def find(kind: str, name: str | Path, beside: Path | None = None) -> Path:
     """The file that a name or a path stands for.
 
@@ -67,7 +72,7 @@ def find(kind: str, name: str | Path, beside: Path | None = None) -> Path:
     Raises:
         InputError: no such file; lists the valid names and the folders searched.
     """
-    given = Path(os.path.expanduser(name))  # leaves a user that is not there as it is
+    given = typed_path(name)
     path = beside.parent / given if beside else given
     if os.path.isfile(path):
         return path.resolve()

@@ -64,6 +64,12 @@ def test_a_name_that_no_file_can_have_is_unknown(name: str) -> None:
         config.find("rigs", name)
 
 
+def test_a_tilde_is_a_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert config.typed_path("~/rig.yaml") == tmp_path / "rig.yaml"
+    assert config.typed_path("~nobody-of-this-name/x") == Path("~nobody-of-this-name/x")
+
+
 def test_a_kind_without_any_folder_says_so() -> None:
     with pytest.raises(InputError, match="no folder named gadgets"):
         config.find("gadgets", "x")

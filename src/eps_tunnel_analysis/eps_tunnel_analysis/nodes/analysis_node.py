@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records both sides, and follows the gap between them while they run."""
 
-import os
 import sys
 import time
 from array import array
@@ -30,6 +29,7 @@ from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
 from labyrinth_msgs.msg import BallState, LiveCounters, RunningModel, Srg, Trial, TunnelSample
 from labyrinth_msgs.srv import Record
+from labyrinth_sim.config import typed_path
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import WORD
 
@@ -75,7 +75,7 @@ class AnalysisNode(TunnelNode):
             max_gap=max_gap,
             smoothed=smoothed,
         )
-        self._refer([Path(os.path.expanduser(bag)) for bag in reference or () if bag], rate, max_gap)
+        self._refer([typed_path(bag) for bag in reference or () if bag], rate, max_gap)
         self._counts: dict[str, StampCounts] = {}
         self._late_after = late
         self.add_post_set_parameters_callback(self._changed)
@@ -278,7 +278,7 @@ class AnalysisNode(TunnelNode):
                 metadata = {"sequence": request.sequence, "sequence_hash": request.sequence_hash}
                 self._recorder.check(request.sides)
                 missing = await self._matched(request.sides)
-                folder = Path(os.path.expanduser(request.folder))
+                folder = typed_path(request.folder)
                 response.bags = self._recorder.start(folder, request.label, metadata, request.sides)
                 response.message = f"Recording {', '.join(response.bags)}."
                 if missing:

@@ -2,7 +2,6 @@
 """Diagnoses on request, in a process of its own, so that the live figures go on."""
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched
 from eps_tunnel_analysis.tasks import DiagnoseTask, run_task
 from labyrinth_msgs.action import Diagnose
 from labyrinth_msgs.msg import Diagnosis
+from labyrinth_sim.config import typed_path
 
 
 class DiagnoseServer:
@@ -72,6 +72,6 @@ class DiagnoseServer:
 def diagnose_task(goal: Diagnose.Goal) -> DiagnoseTask:
     """A goal as a task."""
     return DiagnoseTask(
-        bags=tuple(map(Path, goal.bags)), model=goal.model, out=Path(os.path.expanduser(goal.out)), seed=goal.seed,
+        bags=tuple(map(Path, goal.bags)), model=goal.model, out=typed_path(goal.out), seed=goal.seed,
         candidates=tuple(goal.candidates),
     )  # fmt: skip

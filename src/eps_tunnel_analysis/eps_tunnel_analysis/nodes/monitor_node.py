@@ -2,7 +2,6 @@
 """Serves the page to watch, and does what it is asked for there."""
 
 import argparse
-import os
 import signal
 import sys
 import time
@@ -27,6 +26,7 @@ from eps_tunnel_analysis.processes import ProcessDied, Processes
 from labyrinth_msgs.action import PlaySequence
 from labyrinth_msgs.msg import Diagnosis
 from labyrinth_msgs.srv import LoadModel
+from labyrinth_sim.config import typed_path
 from labyrinth_sim.effect import effects
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import load_model
@@ -133,7 +133,7 @@ class Monitor(TunnelNode):
         self._simulation = SimulationClient(self)
         self._verdicts = self.create_publisher(Diagnosis, "srg/diagnosis", latched())
         self._player_seen = time.monotonic()
-        out = Path(os.path.expanduser(folder)).resolve()
+        out = typed_path(folder).resolve()
         self._session = Session(self._state, self._steps, self, out, model, candidates)
         token = token or (new_token() if ask_token else "")
         self._server = MonitorServer(self._state, host, port, token, self._session.ask, self._session.reports)

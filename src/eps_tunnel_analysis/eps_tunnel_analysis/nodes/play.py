@@ -2,7 +2,6 @@
 """The course of one run: return to the initial pose, wait for rest, play, mark, and so on for every trial."""
 
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +21,7 @@ from eps_tunnel_analysis.nodes.pace import JUMP, ClockJumped, Pace
 from eps_tunnel_analysis.nodes.rig_side import RecordClient, RigSide
 from eps_tunnel_analysis.sequence import Command, Sequence
 from labyrinth_msgs.msg import Trial
+from labyrinth_sim.config import typed_path
 from labyrinth_sim.errors import InputError
 
 FEEDBACK = 0.2  # s between two reports of progress
@@ -218,9 +218,7 @@ class SequencePlayer:
             self._connect(sequence.commands[0], run)
             run.hopeless = self._clock_gone
             target_folder = (
-                (Path(os.path.expanduser(folder)) if folder else _free_path(self._namespace, sequence.name))
-                if record
-                else None
+                (typed_path(folder) if folder else _free_path(self._namespace, sequence.name)) if record else None
             )
             for command in sequence.commands:
                 with self._recording(target_folder, command, bags):
