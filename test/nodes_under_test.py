@@ -27,6 +27,11 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def from_home(path: Path) -> str:
+    """A path as a person types it, beginning with `~`."""
+    return os.path.join("~", os.path.relpath(path, Path.home()))
+
+
 class Workplace:
     """Processes, and a node in this process on the same domain."""
 

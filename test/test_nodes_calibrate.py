@@ -14,7 +14,7 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from action_msgs.msg import GoalStatus
-from nodes_under_test import Workplace, workplace
+from nodes_under_test import Workplace, from_home, workplace
 from rclpy.action import ActionClient
 
 from eps_tunnel_analysis.sequence_file import parse_sequence
@@ -50,19 +50,19 @@ def sent(place: Workplace, told: list[Calibrate.Feedback], **goal: Any) -> Any:
     """The handle of a goal for the bag."""
     client = ActionClient(place.node, Calibrate, "/calibrate")
     place.until(client.server_is_ready)
-    asked = Calibrate.Goal(bags=[str(place.folder / "bag")], model="labyrinth_manual", **goal)
+    asked = Calibrate.Goal(bags=[from_home(place.folder / "bag")], model="labyrinth_manual", **goal)
     return place.result(client.send_goal_async(asked, feedback_callback=lambda message: told.append(message.feedback)))
 
 
 def test_a_goal_ends_with_a_model_that_fits_better(place: Workplace) -> None:
     told: list[Calibrate.Feedback] = []
-    handle = sent(place, told, out=str(place.folder / "fitted"))
+    handle = sent(place, told, out=from_home(place.folder / "fitted"))
     assert handle.accepted
     answer = place.result(handle.get_result_async())
     assert answer.status == GoalStatus.STATUS_SUCCEEDED, answer.result.message
     assert answer.result.success
     assert 0 < answer.result.error_after < answer.result.error_before
-    assert answer.result.file == str(place.folder / "fitted.yaml")
+    assert Path(answer.result.file).resolve() == (place.folder / "fitted.yaml").resolve()
     fitted, given = load_model(answer.result.file).values(), load_model("labyrinth_manual").values()
     assert fitted["drive.x.p"] != given["drive.x.p"]
     shares = [feedback.progress for feedback in told]

@@ -14,7 +14,7 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from nodes_under_test import Workplace, workplace
+from nodes_under_test import Workplace, from_home, workplace
 from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
@@ -155,7 +155,7 @@ def test_a_diagnosis_is_made_on_request_and_told_to_whoever_comes_later(place: W
     stages: list[str] = []
 
     def asked(**given: object) -> Diagnose.Result:
-        goal = Diagnose.Goal(bags=[str(place.folder / "two_real")], model="labyrinth_manual", **given)
+        goal = Diagnose.Goal(bags=[from_home(place.folder / "two_real")], model="labyrinth_manual", **given)
         future = client.send_goal_async(goal, feedback_callback=lambda m: stages.append(m.feedback.stage))
         handle = place.result(future)
         assert handle.accepted

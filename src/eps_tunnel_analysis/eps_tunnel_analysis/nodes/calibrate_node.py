@@ -2,7 +2,6 @@
 """Fits a model to recorded bags when asked over ROS."""
 
 import sys
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -11,6 +10,7 @@ from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode, run_no
 from eps_tunnel_analysis.processes import CommandResult
 from eps_tunnel_analysis.tasks import CalibrateTask, run_task, task_complaint
 from labyrinth_msgs.action import Calibrate
+from labyrinth_sim.config import typed_path
 
 
 class CalibrateNode(TunnelNode):
@@ -62,8 +62,8 @@ def calibrate_task(goal: Calibrate.Goal, signals: list[str]) -> CalibrateTask:
     """A goal as a task. Raises pydantic's ValidationError."""
     chosen = {key: value for key, value in (("method", goal.method), ("fitness", goal.fitness)) if value}
     return CalibrateTask(
-        bags=tuple(map(Path, goal.bags)), model=goal.model, out=Path(goal.out), seed=goal.seed, signals=tuple(signals),
-        **chosen,
+        bags=tuple(map(typed_path, goal.bags)), model=goal.model, out=typed_path(goal.out), seed=goal.seed,
+        signals=tuple(signals), **chosen,
     )  # fmt: skip
 
 

@@ -2,7 +2,6 @@
 """Diagnoses on request, in a process of its own, so that the live figures go on."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode
@@ -72,6 +71,6 @@ class DiagnoseServer:
 def diagnose_task(goal: Diagnose.Goal) -> DiagnoseTask:
     """A goal as a task."""
     return DiagnoseTask(
-        bags=tuple(map(Path, goal.bags)), model=goal.model, out=typed_path(goal.out), seed=goal.seed,
+        bags=tuple(map(typed_path, goal.bags)), model=goal.model, out=typed_path(goal.out), seed=goal.seed,
         candidates=tuple(goal.candidates),
     )  # fmt: skip
