@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every node ends soon after a signal, also where it follows /clock and nobody publishes that."""
+"""Every node ends soon after a signal, also where what it waits for never comes: /clock, or who records."""
 
 import asyncio
 import json
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,16 @@ def test_a_node_ends_soon_after_a_signal_where_no_clock_runs(
     # It answers once it was made and serves callbacks.
     place.call(place.node.create_client(GetParameters, f"/{name}/get_parameters"), GetParameters.Request())
     ends(place, name, how)
+
+
+def test_a_player_ends_while_it_waits_for_who_records(place: Workplace) -> None:
+    place.start("labyrinth_sim", "sim_node")
+    place.start("eps_tunnel_analysis", "player", sides="[sim]", record="true", silence_timeout=20.0, **WAITING)
+    for topic in ("/sim/joint_states", "/sim/joint_commands"):
+        place.until(lambda topic=topic: place.node.count_publishers(topic) and place.node.count_subscribers(topic))
+    later = time.monotonic() + 2.0  # by then it has heard the simulation, and nothing tells of that
+    place.until(lambda: time.monotonic() > later)
+    ends(place, "player", signal.SIGTERM)
 
 
 def test_the_page_works_where_no_clock_runs_and_its_run_is_called_off_at_the_end(place: Workplace) -> None:

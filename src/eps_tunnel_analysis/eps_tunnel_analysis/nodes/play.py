@@ -221,7 +221,7 @@ class SequencePlayer:
                 (typed_path(folder) if folder else _free_path(self._namespace, sequence.name)) if record else None
             )
             for command in sequence.commands:
-                with self._recording(target_folder, command, bags):
+                with self._recording(target_folder, command, bags, run):
                     for number in range(trials):
                         self._whole_trial(command, number, run)
         except (RunEnded, InputError) as reason:
@@ -267,11 +267,11 @@ class SequencePlayer:
         return f"{states} lacks {', '.join(absent)}; it has {', '.join(side.positions)}." if absent else ""
 
     @contextmanager
-    def _recording(self, folder: Path | None, command: Command, bags: list[str]) -> Iterator[None]:
+    def _recording(self, folder: Path | None, command: Command, bags: list[str], run: Run) -> Iterator[None]:
         if folder is None:
             yield
             return
-        bags.extend(self._recorder.start(folder, command, self.limits.connect_timeout, RECORD_TIMEOUT))
+        bags.extend(self._recorder.start(folder, command, self.limits.connect_timeout, RECORD_TIMEOUT, run.check))
         try:
             yield
         finally:

@@ -3,7 +3,8 @@
 
 import math
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from labyrinth_msgs.srv import Record
 from labyrinth_sim.errors import InputError
 
 DEPTH = 10
+LOOK = 0.02  # s between two looks for who records
 
 
 class RecordClient:
@@ -31,11 +33,14 @@ class RecordClient:
         self._sides = list(sides)
         self._client = node.create_client(Record, "record")
 
-    def start(self, folder: Path, command: Command, appears: float, timeout: float) -> tuple[str, ...]:
+    def start(
+        self, folder: Path, command: Command, appears: float, timeout: float, check: Callable[[], None]
+    ) -> tuple[str, ...]:
         """Paths of the bags that are now recorded, one per side.
 
         Args:
             appears, timeout: longest wait for who records, and for the answer, s.
+            check: called now and then while who records is waited for; raises to give up.
 
         Raises:
             InputError: nobody records.
@@ -52,18 +57,25 @@ class RecordClient:
             ),
             appears,
             timeout,
+            check,
         )
 
     def stop(self, appears: float, timeout: float) -> tuple[str, ...]:
         """Paths of the bags, now closed; times as for `start`. Raises InputError when it failed."""
         return self._call(Record.Request(start=False), appears, timeout)
 
-    def _call(self, request: Record.Request, appears: float, timeout: float) -> tuple[str, ...]:
-        if not self._client.wait_for_service(appears):
-            raise InputError(
-                f"Nobody records: the service {self._client.service_name} did not appear within {appears:g} s. "
-                "Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
-            )
+    def _call(
+        self, request: Record.Request, appears: float, timeout: float, check: Callable[[], None] = lambda: None
+    ) -> tuple[str, ...]:
+        deadline = time.monotonic() + appears
+        while not self._client.service_is_ready():
+            if time.monotonic() > deadline:
+                raise InputError(
+                    f"Nobody records: the service {self._client.service_name} did not appear within {appears:g} s. "
+                    "Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
+                )
+            check()
+            time.sleep(LOOK)
         answered = threading.Event()
         future: Any = self._client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
