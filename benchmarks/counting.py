@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a study's records say: strict rates with their intervals. A case is right or it is not; nothing counts half.
 
-A record is one case: `kind`, `truth`, `visibility`, and what was said of it: `verdict`, `effects`, `stated`, `set`.
+A record is one case: `kind`, `truth`, `visibility`, and what was said of it: `verdict`, `effects`, `stated`, `set`,
+and `leaves`, what the model leaves with its values refitted, root mean square over the floor.
 """
 
 import itertools
@@ -38,6 +39,7 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
     """Every key of a study."""
     visible = [r for r in records if r["kind"] == "single" and r["visibility"] > VISIBLE]
     healthy = [r for r in records if r["kind"] == "healthy"]
+    shows = [r for r in visible if r["leaves"] > VISIBLE]  # what the drive's values take up no recording can show
     foreign = [r for r in records if r["kind"] in ("outside", "left_out") and r["visibility"] > VISIBLE]
     pairs = [r for r in records if r["kind"] == "pair"]
     sure = [r for r in records if likeliest(r)[1] > SURE]
@@ -47,6 +49,9 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
         "visible_undecided": rate(visible, is_undecided),
         "visible_wrong": rate(visible, lambda r: not is_right(r) and not is_undecided(r)),
         "visible_misnamed": rate(visible, lambda r: r["verdict"] == "effect" and not is_right(r)),
+        "refitted_visible_right": rate(shows, is_right),
+        "refitted_visible_undecided": rate(shows, is_undecided),
+        "refitted_visible_wrong": rate(shows, lambda r: not is_right(r) and not is_undecided(r)),
         "false_alarm": alarms,
         "false_alarm_upper95": Figure(alarms.interval[1] if alarms.interval else None, alarms.n, alarms.interval),
         "false_alarm_named": rate(healthy, lambda r: r["verdict"] == "effect"),

@@ -14,7 +14,7 @@ from counting import calibration, drop_vs_true_form, figures, flat, median, reli
 def case(kind, truth, verdict, hypotheses, stated=(), effects=(), visibility=10.0, **more):
     return {
         "kind": kind, "truth": truth, "verdict": verdict, "set": hypotheses, "stated": list(stated), "seconds": 1.0,
-        "effects": list(effects), "visibility": visibility, **more,
+        "effects": list(effects), "visibility": visibility, "leaves": visibility, **more,
     }  # fmt: skip
 
 
@@ -33,7 +33,12 @@ def test_a_single_effect_is_right_undecided_or_wrong():
         case("single", "a.x", "failed", {}),
         named("a.x", "b.x", visibility=2.9),
     ]
+    records[1]["leaves"] = 1.1  # the drive's values, refitted, take it up
     found = figures(records)
+    assert found["refitted_visible_right"].n == 6
+    assert found["refitted_visible_right"].value == pytest.approx(1 / 6)
+    assert found["refitted_visible_undecided"].value == pytest.approx(1 / 6)
+    assert found["refitted_visible_wrong"].value == pytest.approx(4 / 6)
     assert found["visible_right"].n == 7
     assert found["visible_right"].value == pytest.approx(1 / 7)
     assert found["visible_undecided"].value == pytest.approx(1 / 7)

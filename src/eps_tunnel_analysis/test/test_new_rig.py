@@ -2,6 +2,7 @@
 """A rig from nothing but a robot's model and its recordings."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,34 @@ def test_a_recording_that_saturates_does_not_spoil_the_proposed_drive(tmp_path: 
     assert found.kind == "torque_pd"
     assert found.values["stiffness"].value == pytest.approx(0.5, rel=0.15)
     assert 0.05 < found.values["torque"].value < 1.0
+
+
+def jolted(seed: int, size: float, slow: bool) -> Sampled:
+    """The disc's answer under 4 N m/rad and 0.05 N m s/rad: steps, or ramps; the current, 0.5 N m/A, noisy."""
+    random, time = np.random.default_rng(seed), np.arange(400) * STEP
+    target = size * (np.abs((time % 4.0) - 2.0) - 1.0 if slow else np.sign(np.sin(2.0 * time + 0.5)))
+    angle, speed, seen, current = float(target[0]), 0.0, [], []
+    for goal in target:
+        seen.append(angle)
+        current.append((4.0 * (goal - angle) - 0.05 * speed) / 0.5)
+        for _ in range(20):
+            speed += STEP / 20 * (4.0 * (goal - angle) - 0.05 * speed) / 0.012
+            angle += STEP / 20 * speed
+    noisy = np.array(current) + 0.5 * np.std(current) * random.standard_normal(len(time))
+    return Sampled(time, target, np.array(seen), noisy)
+
+
+def test_a_law_that_all_recordings_show_roughly_is_one_and_tells_what_its_unit_stands_for(tmp_path: Path) -> None:
+    (tmp_path / "disc.xml").write_text(DISC)
+    robot = read_robot(tmp_path / "disc.xml")
+    samples = [jolted(seed, 0.1 * (1 + seed), slow=seed % 2 == 1) for seed in range(4)]
+    found = propose_drive(robot, "disc", samples, 1.0, 0.0, "A", "as stated")
+    assert found.kind == "torque_pd"
+    assert found.values["stiffness"].value == pytest.approx(4.0, rel=0.15), "told by the steps, not by the ramps"
+    assert found.factor == pytest.approx(0.5, rel=0.2)
+    assert found.values["torque"].value > 4.0 * 0.5 * max(np.abs(s.effort).max() for s in samples), "never seen"
+    apart = [replace(s, effort=s.effort * (1 + i)) for i, s in enumerate(samples)]  # each with a gain of its own
+    assert propose_drive(robot, "disc", apart, 1.0, 0.0, "A", "as stated").factor is None
 
 
 PENDULUM = """<mujoco model="pendulum"><compiler angle="radian" autolimits="true"/>

@@ -19,6 +19,9 @@ from labyrinth_sim.trials import Array
 LAW = 0.9  # share of the effort's variance that a straight law explains, from which it is one
 ANSWERS = 4  # recordings on which orders are fitted, at most, and
 FITTED = 1500  # samples on which orders are fitted
+SEVERAL = 3  # recordings, that show the same law together though none of them does alone:
+ROUGH_LAW = 0.6  # share that it explains of each one's effort, and
+AGREE = 1.15  # times the smallest gain, within which all lie
 YIELDS = 0.5  # share of what else the error leaves that the weight explains, from which the drive gives way to it
 BETTER = 0.8  # of the first order's error, at most, for the second to be worth its values
 FASTEST = 25.0  # 1/s, of velocity_pid's P
@@ -28,6 +31,7 @@ INERTIA = 0.4  # share of the effort's variance that the model's own inverse dyn
 DUTY_GAIN = 0.01  # 1/rad; only its product with kp is known
 STALL = 3.0  # times the largest load of gravity, that full duty gives
 FEWEST = 20  # samples that tell a law
+UNSEEN = 5.0  # times the largest effort, of a limit that the recordings do not show
 ROOM = 2.0  # of a drive's torque over what the recorded motion needs
 NEAR = 1.33  # times what it gives, up to which the effort is in that unit
 
@@ -43,14 +47,20 @@ class Proposed:
 
 @dataclass(frozen=True)
 class DriveProposal:
-    """Kind of drive and its values by name, the effort's unit ("" where none is recorded), each with a reason."""
+    """Kind of drive and its values by name, the effort's unit ("" where none is recorded), each with a reason.
+
+    Attributes:
+        gains: kp of each recording, of a drive by duty cycle.
+        factor: N m (N) that one of the recorded unit of effort stands for, where that is open and the law tells it.
+    """
 
     kind: str
     why: str
     values: dict[str, Proposed]
     effort: str
     effort_why: str
-    gains: tuple[float, ...] = ()  # kp of each recording, of a drive by duty
+    gains: tuple[float, ...] = ()
+    factor: float | None = None
 
 
 def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> tuple[str, str]:
@@ -74,7 +84,7 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
             f"the model's own inverse dynamics gives {factor:.2g} times as much, and explains {explained:.0%} of it",
         )
     share, k, *_ = _laws(samples, scale, zero)
-    if share > LAW:
+    if share > 0.0:
         moved = inertia_of(robot, joint)[0] * _orders(samples, scale, zero)[1][1] ** 2
         if 1.0 / NEAR < k / max(moved, 1e-300) < NEAR:
             return si, f"its stiffness, {k:.3g} {si}, is that with which the model's inertia moves, {moved:.3g}"
@@ -167,7 +177,7 @@ def propose_drive(
     limit, limit_why = _model_torque(robot, joint)
     if unit:
         share, k, c, limited = _laws(samples, scale, zero)
-        if share > LAW:
+        if share > 0.0:
             line = f"{k:.4g} (target - position) {'-' if c > 0 else '+'} {abs(c):.3g} speed"
             told = f"effort = {line} explains {share:.1%} of it"
             if unit == "duty":
@@ -196,7 +206,7 @@ def propose_drive(
         return DriveProposal("pwm_servo", told, values, unit, unit_why)
     first, second = _orders(samples, scale, zero)
     ratio = second[0] / max(first[0], 1e-300)
-    straight = bool(unit) and _laws(samples, scale, zero)[0] > LAW
+    straight = bool(unit) and _laws(samples, scale, zero)[0] > 0.0
     if ratio < BETTER or straight or first[1] > 0.9 * FASTEST:
         frequency, damping = second[1], second[2]
         stiffness = inertia * frequency**2
@@ -209,8 +219,12 @@ def propose_drive(
                 torque_why = "what that stiffness asks for at the largest error; to be checked against the data sheet"
         k = _laws(samples, scale, zero)[1] if straight else 0.0
         if straight and k > 0.0:
-            torque = limit or stiffness * most / k
-            torque_why = limit_why or "the largest recorded effort in terms of that stiffness"
+            cut = _laws(samples, scale, zero)[3]
+            torque = limit or stiffness * most / k * (1.0 if cut else UNSEEN)
+            torque_why = limit_why or (
+                "the largest recorded effort in terms of that stiffness, where it is cut off" if cut
+                else f"{UNSEEN:g} times the largest recorded effort in terms of that stiffness, for it is never cut off"
+            )  # fmt: skip
         why = (
             "its effort is a PD law on the error" if straight
             else f"a second order answers as recorded with {ratio:.0%} of a first order's error"
@@ -225,7 +239,8 @@ def propose_drive(
             "torque": Proposed(_round(torque), n, torque_why),
             "delay": Proposed(min(second[3], 0.05), "s", "of that answer"),
         }
-        return DriveProposal("torque_pd", why, values, unit, unit_why)
+        factor = stiffness / k if k > 0.0 and unit != n else None
+        return DriveProposal("torque_pd", why, values, unit, unit_why, factor=factor)
     p = min(first[1], 0.95 * FASTEST)
     torque = limit or max(2.0 * load, 10.0 * inertia, 1e-3)
     values = {
@@ -309,9 +324,14 @@ def _error(samples: Sequence[Sampled], scale: float) -> float:
 
 def _laws(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float, float, bool]:
     """As `_law`, of the recordings one by one, for they may have been made with different gains; a share of 0 unless a
-    third of them show a law. Steps alone do not: what is logged at a jump belongs to the time before it."""
+    third of them show a law, or all of them roughly the same one. Steps alone do not: what is logged at a jump belongs
+    to the time before it. Where ticks are a large part of the error no single recording may.
+    """
     laws = [_law([s], scale, zero) for s in samples]
     good = [law for law in laws if law[0] > LAW and law[1] > 0.0]
+    if len(laws) >= SEVERAL and all(law[0] > ROUGH_LAW and law[1] > 0.0 for law in laws):
+        gains = [law[1] for law in laws]
+        good = laws if max(gains) < AGREE * min(gains) else good
     if len(good) < len(laws) / 3:
         return 0.0, 0.0, 0.0, False
     return float(np.median([law[0] for law in good])), good[0][1], good[0][2], any(law[3] for law in laws)
@@ -342,8 +362,12 @@ def _law(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, 
 def _orders(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """(error, P, delay) of the first order's best answer; (error, frequency, damping ratio, delay) of the second's."""
     lively = sorted(samples, key=lambda one: -float(np.nan_to_num(np.nanstd(one.target))))
-    # What saturates, or was switched off, is no straight answer: the recording that is answered best tells.
+    # What saturates, or was switched off, is no straight answer, and slow motion tells no order: the recording tells
+    # in which a second order answers most better than a first; where none does, the one that is answered best.
     found = [_orders_of(s, scale, zero) for s in lively[:: max(1, len(lively) // ANSWERS)][:ANSWERS]]
+    told = min(found, key=lambda orders: orders[1][0] / max(orders[0][0], 1e-300))
+    if told[1][0] < BETTER * told[0][0]:
+        return told
     return min(found, key=lambda orders: min(orders[0][0], orders[1][0]))
 
 

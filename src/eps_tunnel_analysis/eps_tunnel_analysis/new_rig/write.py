@@ -13,7 +13,9 @@ from eps_tunnel_analysis.new_rig.drive import DriveProposal, Proposed, effort_un
 from eps_tunnel_analysis.new_rig.joints import Match, Robot, Sampled, Topics, all_of, find_topics, match_joints, sample
 from eps_tunnel_analysis.recording import Recording
 from labyrinth_sim.asset import read_spec
+from labyrinth_sim.effect import slide_unit
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.quantities import EFFORT, SCALES
 from labyrinth_sim.rig import WORD
 from labyrinth_sim.whole_file import write_new
 from labyrinth_sim.yaml_file import yaml_text
@@ -289,6 +291,13 @@ def _model_text(robot: Robot, axes: Sequence[AxisProposal], recordings: Sequence
         "effects": [],
     }
     guessed = {f"joint.{a.match.joint}.armature": _entry(a.armature) for a in axes if a.armature}
+    for a in axes:
+        if a.drive.factor is not None:
+            word, unit, _ = SCALES[a.drive.effort.removeprefix("m")]
+            factor = a.drive.factor * (1e3 if a.drive.effort.startswith("m") else 1.0)
+            why = "the drive's stiffness over that of the recorded effort; to be fitted"
+            number = Proposed(float(f"{factor:.3g}"), slide_unit(unit) if a.slides else unit, why)
+            guessed[f"{EFFORT}.{a.match.recorded}_effort.{word}"] = _entry(number)
     if guessed:
         content["quantities"] = guessed
     reasons = "".join(f"# Drive {a.name} is a {a.drive.kind}: {a.drive.why}.\n" for a in axes)
