@@ -14,7 +14,7 @@ from eps_tunnel_analysis.diagnose.base_values import along_valley
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import was_played
 from eps_tunnel_analysis.diagnose.menu import menu
-from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.search import Job, Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
@@ -229,6 +229,24 @@ def test_it_is_started_again_from_the_one_that_it_contains(search: Search) -> No
     (found,) = nested_refits(search, base, [stuck])
     assert found.converged
     assert found.cost < 1.02 * base.cost
+
+
+def test_a_set_is_tried_again_at_the_base_values_of_a_better_one_that_has_an_effect_more(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search.library = replace(search.library, candidates=(*search.library.candidates[:2],))
+    one, other = (c.name for c in search.library.candidates)
+    jobs: list[Job] = []
+    monkeypatch.setattr(search, "judged", lambda given, rounds: jobs.extend(given) or [])
+    stuck, both = refit(search, (one,), 4.0, share=0.3), refit(search, (one, other), 1.0)
+    both.values[:] = 0.5 * (search.low + search.high)
+    nested_refits(search, refit(search, (), 9.0), [stuck, both])
+    fitted = {tuple(c.name for c in candidates): values for candidates, values in jobs}
+    assert set(fitted) >= {(one,), (other,)}
+    gone = search.columns(search.library.find(other))
+    assert np.array_equal(fitted[(one,)][gone], search.start[gone])
+    kept = np.setdiff1d(np.arange(len(search.start)), gone)
+    assert np.array_equal(fitted[(one,)][kept], both.values[kept])
 
 
 def test_a_set_starts_within_its_bounds_though_what_it_contains_goes_further(recorded: list[Play]) -> None:

@@ -35,6 +35,7 @@ RUNNERS_UP = 2  # on which one more effect is tried too, as on the best; no furt
 RUNNING = 4.0  # times what the best leaves
 CLOSE = 0.75  # times what counts as healthy; below nothing more is sought
 WORTHWHILE = 0.2  # of what is left beyond the noise, that an effect must explain for one more to be sought
+TAKEN_APART = 3  # sets, the best of several effects, of which each is tried without one of them
 MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
 
 
@@ -141,12 +142,14 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
 
 
 def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
-    """The refits; one that fits worse than a set it contains is started again from there.
+    """The refits; one that fits worse than a set it contains is started again from there, and the sets within the best
+    ones from theirs.
 
     A set that contains another, or an effect that contains another one, can always be set to do the same, so it cannot
-    fit worse. What still does has not converged.
+    fit worse. What still does has not converged. And an effect more may have helped only because the drive's values
+    left a wrong valley along with it: without it they are tried, too.
     """
-    jobs: list[Job] = []
+    jobs = _without_one(search, refits)
     for refit in refits:
         for smaller in (base, *refits):
             if refit.cost <= MISFITTED * smaller.cost:
@@ -160,6 +163,19 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> list[
         return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in (base, *found))
 
     return [replace(refit, converged=not misfits(refit)) for refit in found]
+
+
+def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
+    """The best sets of several effects without one of them, at the values of the whole set."""
+    jobs: dict[frozenset[str], Job] = {}
+    several = [r for r in sorted(refits, key=lambda r: r.cost) if len(r.effects) > 1]
+    for refit in several[:TAKEN_APART]:
+        for name in refit.effects:
+            left = tuple(search.library.find(n) for n in refit.effects if n != name)
+            values, columns = refit.values.copy(), search.columns(search.library.find(name))
+            values[columns] = search.start[columns]
+            jobs.setdefault(frozenset(c.name for c in left), (left, values))
+    return list(jobs.values())
 
 
 def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:

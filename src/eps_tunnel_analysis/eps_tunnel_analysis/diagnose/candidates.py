@@ -18,8 +18,9 @@ from labyrinth_sim.trials import Array
 
 FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
 LIMITS = 7  # values of a limit, as of a torque's
-TICKS = 76  # 5.4 % apart, for the valley of a tick is some 4 % wide, and its edges are seen
-FINEST_TICK = 0.05  # of the typical one
+TICKS_APART = 1.056  # times the next finer, for the valley of a tick is some 4 % wide, and its edges are seen
+FINEST_TICK = 0.05  # of the typical one; the coarsest
+COARSEST_TICK = 0.7  # of the largest
 BALL_VALUES = 25
 
 
@@ -164,8 +165,10 @@ def starts(candidate: Candidate) -> Array:
     if is_tick(candidate):  # rounding fits at one value and hardly beside it
         rows = [[p.typical for p in declared]]
         rows += [[*rows[0][:k], p.high, *rows[0][k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low]
-        ticks = np.repeat(rows, TICKS, axis=0)
-        ticks[:, 0] *= np.tile(np.geomspace(FINEST_TICK, 3.0, TICKS), len(rows))
+        finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
+        tried = np.geomspace(finest, coarsest, round(np.log(coarsest / finest) / np.log(TICKS_APART)) + 1)
+        ticks = np.repeat(rows, len(tried), axis=0)
+        ticks[:, 0] = np.tile(tried, len(rows))
         return ticks
     if not candidate.axes and len(declared) == 1:  # of the ball: walls make the misfit rough
         spread = np.linspace(declared[0].low, declared[0].high, BALL_VALUES)[:, None]
