@@ -314,7 +314,7 @@ def _probabilities(
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # What fits as well with fewer values is the likelier for it (Schwarz 1978).
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
-    scores += np.log(np.maximum(_needed(hypotheses, base, left, before), 1e-300))
+    scores += np.log(np.maximum(_needed(hypotheses, base, left, before, floor), 1e-300))
     # A value far from what is stated is evidence as a misfit is.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
     alone = -0.5 * worth * _surprise(costs[:, 0] / known) - 0.5 * bare.strain
@@ -343,14 +343,18 @@ def _surprise(cost: Array) -> Array:
     return np.where(cost < 1.0, cost, 1.0 + np.log(np.maximum(cost, 1.0)))
 
 
-def _needed(hypotheses: Sequence[Hypothesis], base: Array, costs: Array, before: Array) -> Array:
-    """(d, h) how far each hypothesis explains materially more than the best of those that it contains."""
+def _needed(hypotheses: Sequence[Hypothesis], base: Array, costs: Array, before: Array, floor: bool) -> Array:
+    """(d, h) how far each hypothesis explains materially more than the best of those that it contains, or the base.
+
+    Where a floor says what is missing, an effect that takes away none of it is as good as something unknown, and many
+    such must not outweigh the one that does. Without a floor one effect is weighed against another.
+    """
     least = np.maximum(SETTINGS.material, SETTINGS.share * np.maximum(before - 1.0, 0.0))
     found = np.ones_like(costs)
     sets = [frozenset(h.refit.effects) for h in hypotheses]
     for i, h in enumerate(hypotheses):
         smaller = [j for j, other in enumerate(sets) if other < sets[i] or other in h.contains]
-        if not smaller and len(sets[i]) < 2:
+        if not smaller and len(sets[i]) < 2 and not floor:
             continue
         simpler = costs[:, smaller].min(axis=1) if smaller else base
         found[:, i] = _soft(np.log(np.maximum(simpler - costs[:, i], 1e-12) / least))
