@@ -20,7 +20,7 @@ FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
 LIMITS = 7  # values of a limit, as of a torque's
 TICKS_APART = 1.056  # times the next finer, for the valley of a tick is some 4 % wide, and its edges are seen
 FINEST_TICK = 0.05  # of the typical one; the coarsest
-COARSEST_TICK = 0.7  # of the largest
+COARSEST_TICK = 0.95  # of the largest
 BALL_VALUES = 25
 
 

@@ -21,15 +21,7 @@ EFFECT = Effect(
     physics="The goal register has few bits, so that targets are rounded, or cut, to whole ticks.",
     equation="u' = q round(u / q - c)",
     parameters=(
-        Parameter(
-            "tick",
-            "rad",
-            0.0,
-            0.1,
-            0.0,
-            0.01,
-            "a 10-bit register over 300 deg has 5.1 mrad, one of degrees 17 mrad",
-        ),
+        Parameter("tick", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of a 10-bit register over 300 deg (5.1 mrad)"),
         Parameter("cut", "1", 0.0, 0.5, None, 0.0, "0 where targets are rounded, 0.5 where the fraction is cut off"),
     ),
     stage="command",
