@@ -8,6 +8,7 @@ A rig is an MJCF of physical facts and a text in benchmarks/recordings, and an e
 """
 
 import argparse
+import itertools
 import json
 import os
 import shlex
@@ -131,9 +132,10 @@ def measured(name: str, data: Path, work: Path, threads: int) -> dict[str, Any]:
 
 
 def _known(output: str) -> list[str]:
-    """The rules that new-rig prints for recordings with different gains."""
-    lines = [line.strip() for line in output.splitlines()]
-    return next((shlex.split(line)[1:] for line in lines if line.startswith("--known ")), [])
+    """The rules in the command that new-rig prints for recordings with different gains."""
+    words = next((shlex.split(line) for line in output.splitlines() if line.lstrip().startswith("eps-tunnel ")), [])
+    rules = words[words.index("--known") + 1 :] if "--known" in words else []
+    return list(itertools.takewhile(lambda word: not word.startswith("--"), rules))
 
 
 def page_text(figures: dict[str, Any], rig: Recorded) -> str:
@@ -150,20 +152,25 @@ def page_text(figures: dict[str, Any], rig: Recorded) -> str:
         lines += [f"| {axis} | {name} | {p:.2f} |" for name, p in told if p >= 0.02]
     lines += ["", "| signal | floors that remain |", "|---|---|"]
     for one in figures["axes"].values():
-        lines += [f"| {signal} | {left:.3g} |" for signal, left in one["remaining"].items()]
+        lines += [f"| {signal} | {_number(left)} |" for signal, left in one["remaining"].items()]
         before, after = one["floors"]
-        lines += [f"| all, refitted -> with effects | {before:.3g} -> {after:.3g} |"]
+        lines += [f"| all, refitted -> with effects | {_number(before)} -> {_number(after)} |"]
     unit, scale = rig.unit
     lines += ["", f"| recording | | as given, {unit} | refitted, {unit} | after, {unit} |", "|---|---|---|---|---|"]
     for given, refitted, after in zip(figures["given"], figures["refitted"], figures["after"], strict=True):
         kind = "held out" if given["held_out"] else "fitted"
-        errors = " | ".join(f"{scale * one['error']:.3g}" for one in (given, refitted, after))
+        errors = " | ".join(_number(scale * one["error"]) for one in (given, refitted, after))
         lines.append(f"| {given['name']} | {kind} | {errors} |")
     order = ", ".join((*rig.fitted, *rig.held_out))
     lines += ["", f"Commands are numbered in the order {order}, those held out anew."]
     spent = [f"{one['words'][1]} {one['processor_s']:.0f} s" for one in figures["commands"]]
     lines += ["", f"Processor time: {', '.join(spent)}; {figures['evaluations']} roll-outs.", ""]
     return "\n".join(lines)
+
+
+def _number(value: float) -> str:
+    """To three digits, without a power of ten."""
+    return f"{float(f'{value:.3g}'):,.10g}"
 
 
 def _typed(words: list[str]) -> str:
