@@ -13,7 +13,7 @@ from eps_tunnel_analysis.cli.arguments import (
     diagnosis_options,
     within,
 )
-from eps_tunnel_analysis.outputs import json_text, refuse_files
+from eps_tunnel_analysis.outputs import json_text, refuse_files, shown_number
 from eps_tunnel_analysis.terminal import console, print_next, print_notes, rollout_progress, table
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.whole_file import write_new
@@ -81,7 +81,13 @@ def _for_values(arguments: argparse.Namespace, out: Path) -> None:
 
 def _print(found: "ValueExperiment") -> None:
     rows = [
-        (v.name, f"{v.value:.4g}", "–" if math.isnan(v.before) else f"± {v.before:.2g}", f"± {v.after:.2g}", v.unit)
+        (
+            v.name,
+            shown_number(v.value, 4),
+            "–" if math.isnan(v.before) else f"± {shown_number(v.before, 2)}",
+            f"± {shown_number(v.after, 2)}",
+            v.unit,
+        )
         for v in found.values
     ]
     table(console(), "Expected intervals, 95 %", ("value", "now", "known to", "with the play", "unit"), rows)
