@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.recording import (
     Recording,
     TimeSource,
@@ -449,7 +450,7 @@ def _refuse_other_settings(known: Mapping[Path, Mapping[str, float]]) -> None:
 
 def unstated_notes(model: Model) -> tuple[str, ...]:
     """One sentence with every default that holds because the model says nothing; none where it states all."""
-    left = [f"{info.name} {info.value:.4g} {info.unit}".removesuffix(" 1") for info in model.unstated()]
+    left = [f"{info.name} {shown_number(info.value, 4)} {info.unit}".removesuffix(" 1") for info in model.unstated()]
     return (f"Model '{model.name}' does not state, so defaults hold: {', '.join(left)}.",) if left else ()
 
 
@@ -479,8 +480,8 @@ def with_effort_scales(model: Model, plays: Sequence[Play]) -> tuple[Model, tupl
     guessed = model.with_scales(found, "guessed from the recordings")
     infos = guessed.parameters()
     notes = tuple(
-        f"{name} is not stated: {value:.3g} {infos[name].unit} guessed from the recordings. State it in the rig file "
-        "where you know it."
+        f"{name} is not stated: {shown_number(value)} {infos[name].unit} guessed from the recordings. State it in "
+        "the rig file where you know it."
         + (" It is negative: turn the effort's sign round, or add what takes the effort, as friction." * (value < 0))
         for name, value in found.items()
     )

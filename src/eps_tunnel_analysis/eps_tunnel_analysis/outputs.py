@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
+from decimal import Decimal
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ _SHOWN = {
     "m/s": (1000.0, "mm/s"),
     "1": (1.0, ""),
 }
+PLAIN = (1e-5, 1e6)  # from, below: numbers written out in full
+MOST_TIMES = 1000.0  # how many times more does not matter
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 LIBRARIES_SHOWN = ("mujoco", "numpy", "rosbags", "scipy")
 
@@ -111,12 +114,29 @@ def shown_unit(unit: str) -> tuple[float, str]:
     return _SHOWN.get(unit, (1.0, unit))
 
 
+def shown_number(value: float, digits: int = 3) -> str:
+    """A number as people write it, with `digits` that count: 160 for 163.2 and two digits. NaN is a dash."""
+    if math.isnan(value):
+        return "–"
+    text = f"{value:.{digits}g}"
+    mantissa, power, exponent = text.partition("e")
+    if not power:
+        return text
+    if PLAIN[0] <= abs(value) < PLAIN[1]:
+        return f"{Decimal(text):f}"
+    ten = f"10^{int(exponent)}"
+    return {"1": ten, "-1": f"-{ten}"}.get(mantissa, f"{mantissa} × {ten}")
+
+
+def shown_times(ratio: float, digits: int = 2) -> str:
+    """How many times as much, from 0: 160, or "over 1000". NaN is a dash."""
+    return f"over {MOST_TIMES:.0f}" if ratio > MOST_TIMES else shown_number(ratio, digits)
+
+
 def shown_value(value: float, unit: str, digits: int = 3) -> str:
     """A value in SI as people read it: shown_value(0.01, "rad") is "0.573 deg". NaN is a dash."""
     factor, name = shown_unit(unit)
-    if math.isnan(value):
-        return "–"
-    return f"{value * factor:.{digits}g} {name}".rstrip()
+    return "–" if math.isnan(value) else f"{shown_number(value * factor, digits)} {name}".rstrip()
 
 
 def shown_share(share: float) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.error import repeat_spread
-from eps_tunnel_analysis.outputs import shown_value
+from eps_tunnel_analysis.outputs import shown_number, shown_times, shown_value
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array, Trials
@@ -247,7 +247,7 @@ def _even(m: Misfit) -> str:
 
 def _off(m: Misfit) -> str:
     side = "above" if m.mean > 0 else "below"
-    spread = "" if math.isnan(m.times) else f", {m.times:.2g} times the rig's repeat spread"
+    spread = "" if math.isnan(m.times) else f", {shown_times(m.times)} times the rig's repeat spread"
     return (
         f"the simulation is {shown_value(abs(m.mean), m.unit)} {side} the real mean on average "
         f"(RMS {shown_value(m.rms, m.unit)}{spread})"
@@ -282,7 +282,7 @@ def _amplitude_names(amplitude: Array) -> NDArray[np.str_]:
         else:
             edges = np.linspace(0, sizes[-1], MOST_AMPLITUDES + 1)
             index = np.clip(np.searchsorted(edges, degrees[moved]) - 1, 0, MOST_AMPLITUDES - 1)
-            names[moved] = [f"{edges[i]:.3g} to {edges[i + 1]:.3g} deg" for i in index]
+            names[moved] = [f"{shown_number(edges[i])} to {shown_number(edges[i + 1])} deg" for i in index]
     return names.astype(str)
 
 

@@ -81,7 +81,7 @@ class AddTask(_Task):
         Registry.load().check(self.names)
         options = DiagnosisOptions(threads=spare_threads())
         with rollout_progress("lines") as progress:
-            addition = add_to_model(self.model, self.bags, self.names, self.out, options, progress)
+            addition, _ = add_to_model(self.model, self.bags, self.names, self.out, options, progress)
         return {"model": str(self.out), **addition.to_json()}
 
 

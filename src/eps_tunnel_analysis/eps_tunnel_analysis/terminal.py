@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
 
-from eps_tunnel_analysis.outputs import shown_share, shown_value
+from eps_tunnel_analysis.outputs import shown_number, shown_share, shown_value
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.compare import Comparison
@@ -104,7 +104,7 @@ def print_calibration(result: "CalibrationResult", notes: Sequence[str], out: Co
                 p.name,
                 f"{p.start:.5g}",
                 f"{p.value:.5g}",
-                "–" if math.isnan(p.half_width) else f"± {p.half_width:.2g}",
+                "–" if math.isnan(p.half_width) else f"± {shown_number(p.half_width, 2)}",
                 p.unit,
                 "at its bound" if p.at_bound else "",
             )

@@ -73,10 +73,10 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_compare_says_so_on_the_terminal_in_the_json_and_on_the_page(odd: Path, tmp_path: Path) -> None:
     result = eps_tunnel("compare", "--real", odd / "spike", "--sim", odd / "sim", "--out", tmp_path / "gap")
     assert result.returncode == 0, result.stderr
-    said = "signal 'servo' has 1 stray sample, 1e+06 rad at 0.70 s of"
+    said = "signal 'servo' has 1 stray sample, 10^6 rad at 0.70 s of"
     assert f"Warning: {said}" in result.stdout
     assert any(said in note for note in json.loads((tmp_path / "gap" / "compare.json").read_text())["notes"])
-    assert "1 stray sample, 1e+06 rad" in (tmp_path / "gap" / "report.html").read_text()
+    assert "1 stray sample, 10^6 rad" in (tmp_path / "gap" / "report.html").read_text()
     clean = eps_tunnel("compare", "--real", odd / "sim", "--sim", odd / "sim")
     assert "Warning" not in clean.stdout + clean.stderr
 

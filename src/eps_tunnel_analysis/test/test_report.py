@@ -2,6 +2,7 @@
 """The report: one page that fetches nothing, says the figures that were computed, and holds a chart a signal."""
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -13,7 +14,8 @@ import pytest
 from tunnel_cases import make_trials
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.outputs import shown_share, shown_value
+from eps_tunnel_analysis.outputs import shown_number, shown_share, shown_times, shown_value
+from eps_tunnel_analysis.phases import sentences
 from eps_tunnel_analysis.report.comparison_sections import at_a_glance, headline
 from eps_tunnel_analysis.report.next_step import after_comparison
 from eps_tunnel_analysis.report.page import Bar, Chart, Line, Section, Table, Text, joined_spans, render
@@ -224,6 +226,37 @@ def test_units_are_shown_as_people_read_them():
     assert shown_value(2.0, "1") == "2"
     assert shown_value(np.nan, "rad") == "–"
     assert shown_share(0.13741) == "13.74 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "shown"),
+    [
+        (163.2, 2, "160"),
+        (-1234.0, 3, "-1230"),
+        (999.6, 3, "1000"),
+        (0.000042, 2, "0.000042"),
+        (0.0, 3, "0"),
+        (0.25, 3, "0.25"),
+        (3.43e9, 3, "3.43 × 10^9"),
+        (1e6, 4, "10^6"),
+        (-1e-9, 2, "-10^-9"),
+        (math.nan, 3, "–"),
+        (math.inf, 3, "inf"),
+    ],
+)
+def test_numbers_are_written_as_people_write_them(value, digits, shown):
+    assert shown_number(value, digits) == shown
+
+
+def test_a_large_ratio_is_only_called_large():
+    assert [shown_times(t) for t in (0.0, 4.83, 163.2, 1000.0)] == ["0", "4.8", "160", "1000"]
+    assert shown_times(3.43e9) == shown_times(math.inf) == "over 1000"
+    assert shown_times(math.nan) == "–"
+    assert shown_value(25.0, "rad") == "1430 deg"
+    assert "is off by 260 times what the rig itself repeats" in headline(off_by(0.3), "m")
+    assert "is off by over 1000 times what the rig itself repeats" in headline(off_by(3.0), "m")
+    words = sentences(off_by(0.3).where)
+    assert "300 times the rig's repeat spread" in words[0]
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="no chromium on PATH")

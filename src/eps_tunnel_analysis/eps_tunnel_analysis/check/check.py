@@ -7,6 +7,7 @@ from typing import Any
 
 from eps_tunnel_analysis.check.data import Finding, check_data
 from eps_tunnel_analysis.check.excitation import Answer, Excited, excitation
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
@@ -74,7 +75,7 @@ class Check:
 def _name(one: Excited) -> str:
     like = f" (not told from {', '.join(one.confounded)})" if one.confounded else ""
     if one.kind == "value" and one.answer != "no":
-        return f"{one.name} ± {one.figure:.2g} {one.unit}".removesuffix(" 1") + like
+        return f"{one.name} ± {shown_number(one.figure, 2)} {one.unit}".removesuffix(" 1") + like
     return one.name + like
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.outputs import shown_value
+from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.recording.trials import MAX_GAP
 from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import Series
@@ -81,8 +81,8 @@ def _commands(axis: Axis, plays: Sequence[Play]) -> Iterator[Finding]:
     if unit == "rad" and high - low > DEGREES:
         yield Finding(
             axis.command, True,
-            f"Command {axis.command} spans {high - low:.3g} rad; is it recorded in degrees or ticks? Then write "
-            f"'command: {{channel: {axis.command}, unit: deg}}' in the rig file.",
+            f"Command {axis.command} spans {shown_number(high - low)} rad; is it recorded in degrees or ticks? "
+            f"Then write 'command: {{channel: {axis.command}, unit: deg}}' in the rig file.",
         )  # fmt: skip
 
 
@@ -103,8 +103,8 @@ def _signal(model: Model, axis: Axis, measured: Measured, plays: Sequence[Play])
         if unit == "rad" and np.ptp(values) > DEGREES:
             yield Finding(
                 name, True,
-                f"{name} spans {np.ptp(values):.3g} rad; is it recorded in degrees or ticks? Then write 'unit: deg', "
-                "or 'unit: ticks' with 'ticks_per_turn', in the rig file.",
+                f"{name} spans {shown_number(np.ptp(values))} rad; is it recorded in degrees or ticks? Then write "
+                "'unit: deg', or 'unit: ticks' with 'ticks_per_turn', in the rig file.",
             )  # fmt: skip
     if measured.quantity == "torque":
         yield from _effort(model, axis, measured, values)
@@ -119,13 +119,14 @@ def _timing(name: str, series: Sequence[Series], commands: bool = False) -> Iter
     period = float(np.median(apart))
     usual = apart[apart < LATE * period]
     jitter = float(np.std(usual)) if len(usual) else 0.0
-    words = f"{name}: {1.0 / period:.4g} Hz, {f'jitter {1e3 * jitter:.2g} ms' if jitter > STEADY else 'evenly'}"
+    even = f"jitter {shown_number(1e3 * jitter, 2)} ms" if jitter > STEADY else "evenly"
+    words = f"{name}: {shown_number(1.0 / period, 4)} Hz, {even}"
     late = float(np.mean(apart > LATE * period))
     gaps = apart[apart > max(MAX_GAP, 5.0 * period)]
     if commands and late > MANY_LATE and period < MAX_GAP:
         words += f", {late:.1%} later than {LATE:g} periods"
     if len(gaps):
-        words += f", {len(gaps)} gaps up to {gaps.max():.3g} s"
+        words += f", {len(gaps)} gaps up to {shown_number(gaps.max())} s"
     ragged = jitter > UNEVEN * period
     uneven = ragged or (len(gaps) > 0 and not commands)
     advice = " Uneven timing within trials is no effect of the rig; tell it by --timing-ms." if ragged else ""
@@ -210,14 +211,14 @@ def _effort(model: Model, axis: Axis, measured: Measured, values: Array) -> Iter
     if full > 0.0 and most > TOO_STRONG * full:
         yield Finding(
             name, True,
-            f"{name} reaches {most:.3g} {measured.unit}, but the drive gives {full:.3g} at most. If it is a current, a "
-            "duty or counts, write 'unit: A', 'duty' or 'raw' beside it in the rig file.",
+            f"{name} reaches {shown_number(most)} {measured.unit}, but the drive gives {shown_number(full)} at most. "
+            "If it is a current, a duty or counts, write 'unit: A', 'duty' or 'raw' beside it in the rig file.",
         )  # fmt: skip
     elif full > 0.0 and recorded.scale == 1.0 and 0.95 <= most <= 1.0 and full > TOO_STRONG:
         yield Finding(
             name, True,
-            f"{name} never exceeds 1, though the drive can give {full:.3g} {measured.unit}: is it a duty? Then write "
-            "'unit: duty' beside it in the rig file.",
+            f"{name} never exceeds 1, though the drive can give {shown_number(full)} {measured.unit}: is it a duty? "
+            "Then write 'unit: duty' beside it in the rig file.",
         )  # fmt: skip
 
 

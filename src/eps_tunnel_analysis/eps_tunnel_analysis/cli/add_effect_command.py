@@ -11,7 +11,7 @@ from eps_tunnel_analysis.cli.arguments import (
     diagnosis_options,
 )
 from eps_tunnel_analysis.outputs import json_text, model_file
-from eps_tunnel_analysis.terminal import console, rollout_progress, table
+from eps_tunnel_analysis.terminal import console, print_next, rollout_progress, table
 
 NAME = "add-effect"
 HELP = "Adds effects to a model, fits them as diagnose does, and judges them on what was not fitted."
@@ -33,10 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording, fall_sentences
     from eps_tunnel_analysis.loop.reason import add_to_model
+    from eps_tunnel_analysis.report.next_step import after_addition
 
     out = model_file(arguments.out)
     with rollout_progress(arguments.progress) as progress:
-        added = add_to_model(
+        added, recorded = add_to_model(
             arguments.model, arguments.real, arguments.names, out, diagnosis_options(arguments), progress
         )
     if arguments.json:
@@ -50,3 +51,4 @@ def run(arguments: argparse.Namespace) -> None:
     for sentence in (*fall_sentences(added.errors, added.plays, added.unit, added.itself), *added.doubts):
         shown.print(sentence, soft_wrap=True, markup=False)
     shown.print(f"Model: {out}", soft_wrap=True)
+    print_next(shown, *after_addition(recorded, arguments.real, out))

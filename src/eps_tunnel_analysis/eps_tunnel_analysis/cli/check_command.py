@@ -10,7 +10,7 @@ from eps_tunnel_analysis.cli.arguments import (
     add_threads_argument,
 )
 from eps_tunnel_analysis.outputs import json_text
-from eps_tunnel_analysis.terminal import console, rollout_progress
+from eps_tunnel_analysis.terminal import console, print_next, rollout_progress
 
 NAME = "check"
 HELP = "Says what recordings are like and what they can tell, before anything is fitted."
@@ -36,6 +36,7 @@ def run(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.check.check import check
     from eps_tunnel_analysis.cli.arguments import reading_of
     from eps_tunnel_analysis.inputs import load_recorded
+    from eps_tunnel_analysis.report.next_step import after_check
 
     recorded = load_recorded(
         arguments.model, arguments.real, reading_of(arguments), effects=arguments.effects,
@@ -51,3 +52,6 @@ def run(arguments: argparse.Namespace) -> None:
     out = console()
     for line in checked.lines():
         out.print(line, soft_wrap=True, markup=False)
+    serious = any(finding.serious for finding in checked.data)
+    step = after_check(serious, arguments.real, arguments.model, arguments.effects, arguments.known or ())
+    print_next(out, *step)

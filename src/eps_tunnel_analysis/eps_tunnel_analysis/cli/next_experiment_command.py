@@ -13,8 +13,8 @@ from eps_tunnel_analysis.cli.arguments import (
     diagnosis_options,
     within,
 )
-from eps_tunnel_analysis.outputs import json_text, refuse_files
-from eps_tunnel_analysis.terminal import console, print_notes, rollout_progress, table
+from eps_tunnel_analysis.outputs import json_text, refuse_files, shown_number
+from eps_tunnel_analysis.terminal import console, print_next, print_notes, rollout_progress, table
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.whole_file import write_new
 
@@ -59,6 +59,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _for_values(arguments: argparse.Namespace, out: Path) -> None:
+    from eps_tunnel_analysis.report.next_step import play_command
     from eps_tunnel_analysis.values.value_experiment import value_experiment
     from labyrinth_sim.model import load_model
 
@@ -75,12 +76,18 @@ def _for_values(arguments: argparse.Namespace, out: Path) -> None:
         return
     _print(found)
     print_notes(console(), notes)
-    console().print(f"Next: play {out}, {found.command.duration:g} s.", soft_wrap=True)
+    print_next(console(), f"Next: play {out}, {found.command.duration:g} s. Its commands:", play_command(out))
 
 
 def _print(found: "ValueExperiment") -> None:
     rows = [
-        (v.name, f"{v.value:.4g}", "–" if math.isnan(v.before) else f"± {v.before:.2g}", f"± {v.after:.2g}", v.unit)
+        (
+            v.name,
+            shown_number(v.value, 4),
+            "–" if math.isnan(v.before) else f"± {shown_number(v.before, 2)}",
+            f"± {shown_number(v.after, 2)}",
+            v.unit,
+        )
         for v in found.values
     ]
     table(console(), "Expected intervals, 95 %", ("value", "now", "known to", "with the play", "unit"), rows)
@@ -90,6 +97,7 @@ def _print(found: "ValueExperiment") -> None:
 
 def _for_names(arguments: argparse.Namespace, out: Path) -> None:
     from eps_tunnel_analysis.diagnose.diagnose import diagnose
+    from eps_tunnel_analysis.report.next_step import play_command
 
     if not arguments.real:
         raise InputError("--for names needs --real: what decides between effects depends on what was recorded.")
@@ -108,4 +116,5 @@ def _for_names(arguments: argparse.Namespace, out: Path) -> None:
         print(json_text({"command": NAME, "file": str(out), **content}), end="")
         return
     console().print(diagnosis.verdict.sentence, soft_wrap=True, markup=False)
-    console().print(f"Next: play {out}. {diagnosis.experiment.reason}", soft_wrap=True, markup=False)
+    console().print(diagnosis.experiment.reason, soft_wrap=True, markup=False)
+    print_next(console(), f"Next: play {out}. Its commands:", play_command(out))

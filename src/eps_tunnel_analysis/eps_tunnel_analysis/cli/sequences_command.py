@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eps_tunnel_analysis.cli.arguments import within
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.terminal import console, table
 from labyrinth_sim.whole_file import write_new
 
@@ -70,8 +71,8 @@ def write_csv(sequence: "Sequence", file: Path, rate: float) -> None:
     command = sequence.commands[0]
     if command.duration * rate > MOST_ROWS:
         raise InputError(
-            f"{command.name}: {command.duration:g} s at {rate:g} Hz would be {command.duration * rate:.3g} rows; "
-            f"expected at most {MOST_ROWS}. Lower --rate."
+            f"{command.name}: {command.duration:g} s at {rate:g} Hz would be {shown_number(command.duration * rate)} "
+            f"rows; expected at most {MOST_ROWS}. Lower --rate."
         )
     time, targets = command.sample(rate)
     stream = io.StringIO()
@@ -88,4 +89,4 @@ def _reach(sequence: "Sequence") -> str:
     for command in sequence.commands:
         for channel, (low, high) in command.reach().items():
             largest[channel] = max(largest.get(channel, 0.0), -low, high)
-    return ", ".join(f"{channel} {math.degrees(value):.3g} deg" for channel, value in largest.items())
+    return ", ".join(f"{channel} {shown_number(math.degrees(value))} deg" for channel, value in largest.items())

@@ -14,7 +14,15 @@ from eps_tunnel_analysis.cli.arguments import (
     positive,
     reading_of,
 )
-from eps_tunnel_analysis.outputs import circumstances, json_text, new_folder, refuse_existing, shown_share, shown_value
+from eps_tunnel_analysis.outputs import (
+    circumstances,
+    json_text,
+    new_folder,
+    refuse_existing,
+    shown_number,
+    shown_share,
+    shown_value,
+)
 from eps_tunnel_analysis.terminal import console, print_notes, rollout_progress, table
 
 if TYPE_CHECKING:
@@ -94,8 +102,10 @@ def _print(swept: "Sweep") -> None:
     content = swept.to_json()
     names = [v.name for v in swept.values]
     for v in swept.values:
-        points = f"{len(v.points)} points from {v.points[0]:.4g} to {v.points[-1]:.4g} {v.unit}"
-        console().print(f"{v.name}: {points}; the model has {v.given:.4g}", soft_wrap=True, markup=False)
+        points = (
+            f"{len(v.points)} points from {shown_number(v.points[0], 4)} to {shown_number(v.points[-1], 4)} {v.unit}"
+        )
+        console().print(f"{v.name}: {points}; the model has {shown_number(v.given, 4)}", soft_wrap=True, markup=False)
     least = content["least_error"]
     rows = [("least error E", shown_value(swept.best(swept.mean_error, False)[1], swept.units[0]), least["at"])]
     rows += [
@@ -104,5 +114,5 @@ def _print(swept: "Sweep") -> None:
     ]  # fmt: skip
     table(
         console(), "Best within the range", ("", "", *names),
-        [(what, figure, *(f"{at[n]:.4g}" for n in names)) for what, figure, at in rows],
+        [(what, figure, *(shown_number(at[n], 4) for n in names)) for what, figure, at in rows],
     )  # fmt: skip

@@ -142,8 +142,11 @@ def add_to_model(
     out: Path,
     options: DiagnosisOptions,
     progress: RolloutProgress | None = None,
-) -> Addition:
+) -> tuple[Addition, Recorded]:
     """Adds effects, `EFFECT.PLACE`, fitted to bags, and writes the model to `out` with where it comes from.
+
+    Returns:
+        What was added, and what it was fitted to.
 
     Raises:
         InputError: `out` exists, bags that cannot be read, or what `add_effects` raises.
@@ -153,7 +156,7 @@ def add_to_model(
     added = add_effects(recorded.model, recorded.plays, names, options.threads, progress, recorded.held)
     valid = validity_of(added.model, recorded.plays, recorded.held, recorded.bags)
     save_model(replace(added.model, provenance=model_provenance(recorded, names, added.errors), valid=valid), out)
-    return added
+    return added, recorded
 
 
 def within(model: Model, limit: float) -> Model:

@@ -13,6 +13,7 @@ import numpy as np
 from eps_tunnel_analysis.inputs import load_recorded
 from eps_tunnel_analysis.monitor.parts import Adjustables, Before, GapPart, WhatIfPart
 from eps_tunnel_analysis.monitor.state import BEFORE, COLLECTING, LEAST_TRIALS, SIMULATED, UNSEEN, State, told_rows
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.values.what_if import Adjustable, WhatIf, WhatIfAnswer, adjustable
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import load_model
@@ -113,7 +114,7 @@ class Reruns:
 def _part(prepared: WhatIf, changed: WhatIfAnswer | None, wanted: _Wanted, number: int) -> WhatIfPart:
     moved, name, shown = wanted.adjustable, prepared.model.name, changed or prepared.given
     value = moved.given if wanted.value is None else wanted.value
-    model = f"{name} with {moved.name} {value:.4g} {moved.unit}".removesuffix(" 1") if changed else name
+    model = f"{name} with {moved.name} {shown_number(value, 4)} {moved.unit}".removesuffix(" 1") if changed else name
     gap = GapPart(
         model=model,
         signals=prepared.tunnel.signals,

@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 from eps_tunnel_analysis.motion import Array, RestWatch
 from eps_tunnel_analysis.nodes.messages import measured, reliable
 from eps_tunnel_analysis.nodes.pace import Pace
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.sequence import Command
 from labyrinth_msgs.msg import Trial
 from labyrinth_msgs.srv import Record
@@ -167,9 +168,8 @@ class RigSide:
         if not len(self.rest.speeds) or np.isnan(self.rest.speeds).all():
             return f"{self.name}: too few joint states to judge"
         fastest = int(np.nanargmax(self.rest.speeds))
-        return (
-            f"{self.name}: {sorted(self.positions)[fastest]} moves {math.degrees(self.rest.speeds[fastest]):.2g} deg/s"
-        )
+        speed = shown_number(math.degrees(self.rest.speeds[fastest]), 2)
+        return f"{self.name}: {sorted(self.positions)[fastest]} moves {speed} deg/s"
 
     def _measured(self, message: JointState) -> None:
         if len(message.position) != len(message.name):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.recording.decode import JOINT_STATE, typestore
 from eps_tunnel_analysis.recording.plausible import Samples, doubts
 from eps_tunnel_analysis.recording.writer import BagWriter, whole_bag
@@ -168,8 +169,8 @@ def _stamps(table: Path, name: str, cells: list[str], scale: float) -> NDArray[n
     if not since[-1] < LONGEST:
         line = int(np.flatnonzero(~(since < LONGEST))[0])
         raise InputError(
-            f"{table}: line {line + 2}: the time '{cells[line]}' lies {since[line]:.3g} s after the first row's; "
-            f"a stamp holds {LONGEST:.3g} s. Is it in ms or us? Say so by --time-unit."
+            f"{table}: line {line + 2}: the time '{cells[line]}' lies {shown_number(since[line])} s after the first "
+            f"row's; a stamp holds {shown_number(LONGEST)} s. Is it in ms or us? Say so by --time-unit."
         )
     return np.round(since * 1e9).astype(np.int64) + 1_000_000_000
 

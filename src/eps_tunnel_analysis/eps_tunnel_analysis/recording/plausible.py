@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from eps_tunnel_analysis.outputs import shown_number
 from labyrinth_sim.trials import Array
 
 DEGREES = 180.0 / math.pi
@@ -78,10 +79,11 @@ def _stray(trials: Sequence[Samples]) -> str:
     samples, at = max(odd, key=lambda pair: abs(pair[0].values[pair[1]]))
     rest = np.delete(samples.values, stray(samples.values))
     count = f"{len(odd)} stray sample{'s' * (len(odd) > 1)}"
+    value, low, high = (shown_number(float(v), 4) for v in (samples.values[at], rest.min(), rest.max()))
     return (
-        f"Warning: {samples.what} has {count}, {samples.values[at]:.4g} {samples.unit} at {samples.time[at]:.2f} s of "
-        f"{samples.where} where the others lie from {rest.min():.4g} to {rest.max():.4g} {samples.unit}. They count "
-        "like any other; look for a broken sensor or a lost byte, and record anew."
+        f"Warning: {samples.what} has {count}, {value} {samples.unit} at {samples.time[at]:.2f} s of {samples.where} "
+        f"where the others lie from {low} to {high} {samples.unit}. They count like any other; "
+        "look for a broken sensor or a lost byte, and record anew."
     )
 
 
@@ -99,11 +101,13 @@ def _beyond(trials: Sequence[Samples], cure: str) -> str:
     if not share:
         return ""
     worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
-    allowed = f"the rig's limits, {low:.4g} to {high:.4g} {first.unit}" if first.limits else "a whole turn"
-    shown = f"{worst:.4g} {first.unit}" + (f" ({worst * DEGREES:.4g} deg)" if first.unit == "rad" else "")
+    bounds = f"{shown_number(low, 4)} to {shown_number(high, 4)} {first.unit}"
+    allowed = f"the rig's limits, {bounds}" if first.limits else "a whole turn"
+    degrees = f" ({shown_number(worst * DEGREES, 4)} deg)" if first.unit == "rad" else ""
+    reached = f"{shown_number(worst, 4)} {first.unit}{degrees}"
     fits = first.unit == "rad" and low - slack <= values.min() / DEGREES and values.max() / DEGREES <= high + slack
     asked = f" As degrees they would fit: are they degrees, taken for rad?{cure}" if fits else ""
     return (
-        f"Warning: {first.what} lies beyond {allowed}, in {100.0 * share:.3g} % of the samples, as far as {shown}."
-        f"{asked}"
+        f"Warning: {first.what} lies beyond {allowed}, in {shown_number(100.0 * share)} % of the samples, as far as "
+        f"{reached}.{asked}"
     )

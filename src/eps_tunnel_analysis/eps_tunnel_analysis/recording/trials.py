@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.recording.channel_map import ChannelMap, Source, channel_map, guessed_map, namespace_of
 from eps_tunnel_analysis.recording.decode import BALL_STATE, read_all
 from eps_tunnel_analysis.recording.plausible import Samples, doubts
@@ -400,8 +401,9 @@ def on_grid(
 def check_lengths(found: Sequence[Window], rate: float) -> None:
     """Raises InputError for trials too long for a grid, before any is made."""
     complaints = [
-        f"{window.label}: {window.seconds:.6g} s at {rate:g} Hz would be {window.seconds * rate:.3g} samples; expected "
-        f"at most {MOST_SAMPLES}. Is one message's stamp, or the length on its trial mark, wrong? Else lower the rate."
+        f"{window.label}: {shown_number(window.seconds, 6)} s at {rate:g} Hz would be "
+        f"{shown_number(window.seconds * rate)} samples; expected at most {MOST_SAMPLES}. "
+        "Is one message's stamp, or the length on its trial mark, wrong? Else lower the rate."
         for window in found
         if window.seconds * rate > MOST_SAMPLES
     ]

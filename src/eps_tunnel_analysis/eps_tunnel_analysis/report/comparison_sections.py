@@ -12,7 +12,7 @@ import numpy as np
 
 from eps_tunnel_analysis.compare import JOINTLY, Comparison
 from eps_tunnel_analysis.error import SignalError
-from eps_tunnel_analysis.outputs import shown_share, shown_unit, shown_value
+from eps_tunnel_analysis.outputs import shown_share, shown_times, shown_unit, shown_value
 from eps_tunnel_analysis.phases import MEANING, Misfit, channel_of, mean_command, sentences
 from eps_tunnel_analysis.report.page import (
     Band,
@@ -55,7 +55,7 @@ def headline(comparison: Comparison, name: str) -> str:
         return f"{name} is as close to the rig as the rig is to itself"
     if not worst.repeat_rms:
         return f"{name} is off by {shown_value(worst.rms, worst.unit)} on {worst.signal}, where the rig repeats exactly"
-    return f"{name} is off by {_times(worst):.2g} times what the rig itself repeats, most on {worst.signal}"
+    return f"{name} is off by {shown_times(_times(worst))} times what the rig itself repeats, most on {worst.signal}"
 
 
 def _times(error: SignalError) -> float:
@@ -332,7 +332,7 @@ def _table(rows: list[Misfit], caption: str, folded: bool = False) -> Table:
                 f"{m.time_share:.0%}",
                 shown_value(m.mean, m.unit),
                 shown_value(m.rms, m.unit),
-                "–" if math.isnan(m.times) else f"{m.times:.2g}",
+                shown_times(m.times),
             )
             for m in rows
         ],

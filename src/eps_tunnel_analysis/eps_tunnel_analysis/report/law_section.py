@@ -4,7 +4,7 @@
 import numpy as np
 
 from eps_tunnel_analysis.law.proposal import Proposal
-from eps_tunnel_analysis.outputs import shown_unit, shown_value
+from eps_tunnel_analysis.outputs import shown_number, shown_unit, shown_value
 from eps_tunnel_analysis.report.page import Bar, Block, Chart, Line, Section, Table, Text
 from labyrinth_sim.trials import Array
 
@@ -39,7 +39,7 @@ def law(proposal: Proposal) -> Section:
         blocks.append(
             Table(
                 (found.first.variable, f"missing, {'rad' if found.first.curve == 'curve_sensor' else unit}"),
-                [(f"{x:.3g}", f"{y:.3g}") for x, y in proposal.curve],
+                [(shown_number(x), shown_number(y)) for x, y in proposal.curve],
                 numeric=(0, 1),
                 caption="What is missing over its variable, without a formula. Friction counts against the motion.",
             )
@@ -50,11 +50,11 @@ def law(proposal: Proposal) -> Section:
         blocks.append(
             Table(
                 ("number", "value"),
-                [(name, f"{value:.4g} ± {proposal.refit.intervals.get(name, 0.0):.2g}")
+                [(name, f"{shown_number(value, 4)} ± {shown_number(proposal.refit.intervals.get(name, 0.0), 2)}")
                  for name, value in proposal.refit.values.items()],
                 numeric=(1,),
-                caption=f"{proposal.equation}: {proposal.base_held_out:.3g} floors without it, "
-                f"{proposal.refit.held_out:.3g} with it, where left out.",
+                caption=f"{proposal.equation}: {shown_number(proposal.base_held_out)} floors without it, "
+                f"{shown_number(proposal.refit.held_out)} with it, where left out.",
             )
         )  # fmt: skip
     return Section("What is missing", blocks)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to do next, as a sentence and a command to copy: after a comparison, and after each verdict."""
+"""What to do next, as a sentence and a command to copy: after a check, a comparison, an addition, and each verdict."""
 
 import shlex
 from collections import Counter
@@ -37,6 +37,27 @@ def after_comparison(
     return said, shlex.join(["eps-tunnel", "diagnose", *words])
 
 
+def after_check(
+    serious: bool, real: Sequence[Path], model: str, own: Path | None, known: Sequence[str] = ()
+) -> tuple[str, str]:
+    """What to do after a check of recordings: a sentence and a command.
+
+    Args:
+        serious: something in them should be seen to first.
+        real, model: as the user named them.
+        own, known: as in `after_comparison`.
+    """
+    said = "Next: which physical effect the model lacks."
+    if serious:
+        said = "Next: see to the lines that begin with !, and record anew where they say so. Then diagnose:"
+    return said, shlex.join(["eps-tunnel", "diagnose", *_reading(real, own, known), "--model", model, "--out", "why"])
+
+
+def after_addition(recorded: "Recorded", real: Sequence[Path], model: Path) -> tuple[str, str]:
+    """What to do after effects were added into the file `model`: a sentence and a command."""
+    return "Next: see the gap closed.", compare_with(recorded, real, str(model), f"{model.stem}-gap")
+
+
 def compare_with(
     recorded: "Recorded", real: Sequence[Path], model: str, out: str = "", effects: Path | None = None
 ) -> str:
@@ -55,6 +76,11 @@ def compare_with(
         chosen = next((files for files in recorded.files if all(count[bag] == 1 for bag in files)), real)
     words = _reading(chosen, effects or recorded.model.registry.folder, _settings(recorded, chosen))
     return shlex.join(["eps-tunnel", "compare", *words, "--model", model, *(["--out", out] if out else [])])
+
+
+def play_command(file: Path) -> str:
+    """The command that makes of a sequence file the commands to be played."""
+    return shlex.join(["eps-tunnel", "sequences", str(file), "--csv", "next.csv"])
 
 
 def next_commands(
@@ -81,7 +107,7 @@ def next_step(
     if v.verdict == "undecided" and diagnosis.experiment:
         file = out / "next_experiment.yaml"
         said = f"Next: play {file}, record it, and diagnose these recordings and the new ones together. Its commands:"
-        return said, shlex.join(["eps-tunnel", "sequences", str(file), "--csv", "next.csv"])
+        return said, play_command(file)
     if proposal is not None and proposal.model:
         law = compare_with(recorded, real, str(out / "proposed_model.yaml"), effects=out)
         return "Next: see what the proposed law makes of the gap.", law
