@@ -15,6 +15,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.base_values import base_from
 from eps_tunnel_analysis.diagnose.search import directions
 from eps_tunnel_analysis.fit.problem import by_axis
+from eps_tunnel_analysis.outputs import shown_times
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 
@@ -47,8 +48,8 @@ class Doubt:
         """What to check, in words."""
         return (
             f"{self.name} is taken for known, {self.given:.3g} {self.unit} ({self.source}). If it were "
-            f"{self.fitted:.3g}, {self.after:.2g} times the noise floor would be left, against {self.before:.2g} "
-            "with the best effect: check it."
+            f"{self.fitted:.3g}, {shown_times(self.after)} times the noise floor would be left, against "
+            f"{shown_times(self.before)} with the best effect: check it."
         )
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from eps_tunnel_analysis.alikeness import Span
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Ranked, smallest_set
-from eps_tunnel_analysis.outputs import plain
+from eps_tunnel_analysis.outputs import plain, shown_number
 from labyrinth_sim.registry import Registry
 from labyrinth_sim.shown import shown
 
@@ -220,10 +220,10 @@ def _part(axis: str, found: AxisVerdict, registry: Registry) -> str:
         return f"{named[0].upper()}{named[1:]} explains {share:.0%} of what the model leaves there."
     most = max(found.explained.items(), key=lambda item: item[1][0], default=None)
     if found.unknown > 0.5 and most and most[1][0] >= WORTH_TELLING:
-        return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {before:.3g} floors."
+        return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {shown_number(before)} floors."
     if found.none >= CLEAR:
-        return f"Nothing is missing on {axis}, {before:.2g} floors."
-    return f"On {axis} {before:.3g} floors remain."
+        return f"Nothing is missing on {axis}, {shown_number(before, 2)} floors."
+    return f"On {axis} {shown_number(before)} floors remain."
 
 
 def undecided(options: Sequence[str]) -> str:

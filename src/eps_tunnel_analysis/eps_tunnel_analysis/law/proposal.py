@@ -24,6 +24,7 @@ from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formula
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
 from eps_tunnel_analysis.law.refit import floors_on, quick_bases, thorough_bases, worst_on
 from eps_tunnel_analysis.law.visit import Visit, visit
+from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
 from labyrinth_sim.effect import Effect, effects
@@ -75,7 +76,8 @@ class Confirmation:
         """In words."""
         how = "Confirmed" if self.holds else "Not confirmed"
         return (
-            f"{how} on another command: {self.before:.3g} floors are left there without it, {self.after:.3g} with it."
+            f"{how} on another command: {shown_number(self.before)} floors are left there without it, "
+            f"{shown_number(self.after)} with it."
         )
 
 
@@ -133,8 +135,8 @@ class Proposal:
         if self.refit:
             form = f"{self.equation}" if self.kind == "formula" else "a free curve"
             text += (
-                f" Proposed is {form}: {self.refit.held_out:.2g} floors are left where left out, against "
-                f"{self.base_held_out:.3g}. "
+                f" Proposed is {form}: {shown_number(self.refit.held_out, 2)} floors are left where left out, against "
+                f"{shown_number(self.base_held_out)}. "
             )
             text += self.confirmation.sentence if self.confirmation else "Found in these data, not confirmed."
         if self.depends.ties and self.visit:
@@ -215,11 +217,16 @@ def propose(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 
         named = zip(law.terms, prefixes(law.terms), strict=True)
         start = {f"{NAME}.{first.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
         tried.append(("formula", f"{NAME}.{first.place}", *_refitted(lib, plays, part, run, start)))
-    if not tried or tried[0][2].held_out > ENOUGH:
+    if not tried or not tried[0][2].held_out <= ENOUGH:  # NaN of one that diverges
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, weights, strict=True)}
         tried.append(("curve", f"{first.curve}.{first.place}", *_refitted(lib, plays, part, run, start)))
-    kind, name, refit, final, before = min(tried, key=lambda t: t[2].held_out * (1.0 if t[0] == "formula" else AS_GOOD))
+    predicts = [t for t in tried if np.isfinite(t[2].held_out)]
+    if not predicts:
+        return bare
+    kind, name, refit, final, before = min(
+        predicts, key=lambda t: t[2].held_out * (1.0 if t[0] == "formula" else AS_GOOD)
+    )
     if refit.held_out > FALLS * before:
         return bare
     form = " + ".join(c.term.equation for c in law.terms)
