@@ -87,7 +87,8 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
     if share > 0.0:
         moved = inertia_of(robot, joint)[0] * _orders(samples, scale, zero)[1][1] ** 2
         if 1.0 / NEAR < k / max(moved, 1e-300) < NEAR:
-            return si, f"its stiffness, {k:.3g} {si}, is that with which the model's inertia moves, {moved:.3g}"
+            rad = "m" if _slides(robot, joint) else "rad"
+            return si, f"its stiffness, {k:.3g} {si}/{rad}, is that with which the model's inertia moves, {moved:.3g}"
     if most <= 1.0 and most > 0.05 and not np.allclose(seen, np.round(seen)):
         why = f"never beyond 1 (at most {most:.3g}), and not what the model's inverse dynamics gives"
         return "duty", f"{why}; if it is a current, say --effort-unit A"
