@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from eps_tunnel_analysis.cli.main import main
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.ball import part_name, sees_ball, without_ball
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import find_sequence
 from eps_tunnel_analysis.simulated import Play

@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
+from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.inputs import Recorded, load_recorded
 from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed

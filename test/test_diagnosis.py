@@ -15,9 +15,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from short_sequence import SHORT
 
 from eps_tunnel_analysis.cli.main import main
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import parse_sequence

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from eps_tunnel_analysis.diagnose.addition import add_effects
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
+from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.law.proposal import Proposal, propose_on
 from eps_tunnel_analysis.law.refit import floors_on, with_effect_fitted
 from eps_tunnel_analysis.recording.decode import read_all

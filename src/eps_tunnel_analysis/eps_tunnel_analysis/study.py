@@ -36,7 +36,7 @@ from labyrinth_sim.trials import Trials
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.check.check import Check
-    from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
+    from eps_tunnel_analysis.diagnose.axes import Diagnosis
     from eps_tunnel_analysis.diagnose.experiment import Experiment
     from eps_tunnel_analysis.diagnose.verdict import Verdict
     from eps_tunnel_analysis.fit.from_bags import Calibration

@@ -1,14 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all axes lack together: its probabilities, the models that have it, and what is said of each axis."""
+"""All axes together: the result, its probabilities, the models that have what is missing, and what is said of each."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from eps_tunnel_analysis.compare import Comparison
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.experiment import Experiment
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
-from eps_tunnel_analysis.diagnose.verdict import AxisVerdict
+from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Verdict
 from labyrinth_sim.model import Model
+from labyrinth_sim.shown import shown
+
+
+@shown
+@dataclass(frozen=True)
+class Diagnosis:
+    """The verdict, the models and comparisons behind it, axis by axis.
+
+    Attributes:
+        base_model: the given model with its values refitted.
+        model: the same with the named effects, fitted; the base model where none is named.
+        experiment: what to play next where two hypotheses are left, else None.
+    """
+
+    verdict: Verdict
+    axes: tuple[AxisDiagnosis, ...]
+    base_model: Model
+    model: Model
+    given: Comparison
+    before: Comparison
+    after: Comparison
+    experiment: Experiment | None
 
 
 def together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
@@ -34,7 +59,7 @@ def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[s
     return model
 
 
-def fitted_names(axes: Sequence[AxisDiagnosis], named: Collection[str]) -> set[str]:
+def fit_names(axes: Sequence[AxisDiagnosis], named: Collection[str]) -> set[str]:
     """Full names of the values that were fitted: of the axes' bases and of these effects."""
     names: set[str] = set()
     for axis in axes:

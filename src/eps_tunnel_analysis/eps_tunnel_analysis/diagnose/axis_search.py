@@ -78,6 +78,10 @@ class AxisPart:
         """In words."""
         return part_name(self.name) if len(self.axes) == 1 else f"axes {self.name}"
 
+    def level(self, levels: Mapping[str, float] | None) -> float:
+        """Mean of what its axes are said to have left, axis -> floors; 0 where nothing is said."""
+        return sum((levels or {}).get(name, 0.0) for name in self.axes) / len(self.axes)
+
 
 def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
     """Every axis that has a position in all plays."""

@@ -3,17 +3,16 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from eps_tunnel_analysis.compare import Comparison
-from eps_tunnel_analysis.diagnose.axes import axis_verdict, fitted_names, left_out_error, together, with_refits
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, ball_part, joined, moved_parts
+from eps_tunnel_analysis.diagnose.axes import Diagnosis, axis_verdict, fit_names, left_out_error, together, with_refits
+from eps_tunnel_analysis.diagnose.axis import diagnose_axis, floor_known
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, ball_part, joined, moved_parts
 from eps_tunnel_analysis.diagnose.ball import sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.base_values import Bases, fitted_bases
 from eps_tunnel_analysis.diagnose.doubts import doubts
-from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors, rig_against_itself
-from eps_tunnel_analysis.diagnose.experiment import Experiment, next_experiment
+from eps_tunnel_analysis.diagnose.errors import distances
+from eps_tunnel_analysis.diagnose.experiment import next_experiment
 from eps_tunnel_analysis.diagnose.notes import notes_of
 from eps_tunnel_analysis.diagnose.progress import RolloutCount, RolloutProgress, expected_rollouts
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -21,30 +20,6 @@ from eps_tunnel_analysis.diagnose.verdict import Verdict, decide, sentence
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
-from labyrinth_sim.shown import shown
-
-SHORTEST = 0.05  # s, of a span outside the tunnel that is listed
-
-
-@shown
-@dataclass(frozen=True)
-class Diagnosis:
-    """The verdict, the models and comparisons behind it, axis by axis.
-
-    Attributes:
-        base_model: the given model with its values refitted.
-        model: the same with the named effects, fitted; the base model where none is named.
-        experiment: what to play next where two hypotheses are left, else None.
-    """
-
-    verdict: Verdict
-    axes: tuple[AxisDiagnosis, ...]
-    base_model: Model
-    model: Model
-    given: Comparison
-    before: Comparison
-    after: Comparison
-    experiment: Experiment | None
 
 
 def diagnose(
@@ -87,14 +62,13 @@ def diagnose(
 
     # Each axis by itself, the others moving as they do; together what shakes together.
     bases = fitted_bases(model, alone, moved, run) if len(moved) > 1 else Bases()
-    axes = [diagnose_axis(model, alone, p, run, _level(levels, p), bases) for p in joined(model, moved)]
+    axes = [diagnose_axis(model, alone, p, run, p.level(levels), bases) for p in joined(model, moved)]
     judged = len(axes)
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.
-        found = set(decide(together(axes), SETTINGS.coverage)[1])
-        tilted = with_refits(model, axes, found)
+        tilted = with_refits(model, axes, set(decide(together(axes), SETTINGS.coverage)[1]))
         own = replace(run, only=tuple(on_ball))
-        axes.append(diagnose_axis(tilted, plays, ball_part(), own, _level(levels, ball_part())))
+        axes.append(diagnose_axis(tilted, plays, ball_part(), own, ball_part().level(levels)))
 
     # What is missing in all, and the models with and without it.
     probabilities = together(axes)
@@ -104,13 +78,9 @@ def diagnose(
     base_model, final = with_refits(model, axes, ()), with_refits(model, axes, named)
 
     # How far each is from the recordings.
-    shown = plays if rolls else alone
-    models = (model, base_model, final)
-    near = [compared(m, shown) for m in models]
-    far = [compared(m, held if rolls else [without_ball(p) for p in held]) for m in models]
+    shown, kept = (plays, held) if rolls else (alone, [without_ball(p) for p in held])
     left_out = (None, *(left_out_error(axes[:judged], names) for names in ((), named)))
-    unit = model.rig.position_unit
-    errors = [errors_of(c, h, left, unit) for c, h, left in zip(near, far, left_out, strict=True)]
+    far = distances((model, base_model, final), shown, kept, left_out)
 
     # What to do next.
     doubted = [d for a in axes[:judged] if kind == "unknown" and a.best.cost > SETTINGS.healthy
@@ -126,24 +96,20 @@ def diagnose(
         stated=stated,
         coverage=SETTINGS.coverage,
         sentence=sentence(kind, named, stated, probabilities, said, model.registry, floor_known(plays)),
-        where=tuple(s for c in near[1] for s in c.spans if s.end - s.start >= SHORTEST),
-        given=errors[0],
-        before=errors[1],
-        after=errors[2],
-        ball=tuple(errors_of(c, h, None, "m") for c, h in zip(near, far, strict=True)) if rolls else (),
-        plays=play_errors(plays, held, near, far, unit),
-        rig_against_itself=rig_against_itself(near[0]),
+        where=far.where,
+        given=far.errors[0],
+        before=far.errors[1],
+        after=far.errors[2],
+        ball=far.ball,
+        plays=far.plays,
+        rig_against_itself=far.rig_against_itself,
         axes=said,
-        values={n: v for n, v in final.values().items() if n in fitted_names(axes, named)},
+        values={n: v for n, v in final.values().items() if n in fit_names(axes, named)},
         seed=seed,
         evaluations=bases.evaluations + sum(axis.search.evaluations for axis in axes),
         seconds=time.monotonic() - started,
         next_experiment=experiment.name if experiment else None,
         notes=(*(d.sentence for d in doubted), *notes_of(model, parts, moved, plays, axes[:judged])),
     )
-    return Diagnosis(verdict, tuple(axes), base_model, final, near[0][0], near[1][0], near[2][0], experiment)
-
-
-def _level(levels: Mapping[str, float] | None, part: AxisPart) -> float:
-    """Floors that its axes left before effects were added."""
-    return sum((levels or {}).get(name, 0.0) for name in part.axes) / len(part.axes)
+    first = [comparisons[0] for comparisons in far.near]
+    return Diagnosis(verdict, tuple(axes), base_model, final, first[0], first[1], first[2], experiment)

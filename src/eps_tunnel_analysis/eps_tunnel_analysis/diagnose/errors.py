@@ -2,9 +2,11 @@
 """How far a model is from recordings, and how far these are from one another: the yardsticks of every verdict."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from eps_tunnel_analysis.alikeness import Span
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.ball import sees_ball
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
@@ -13,6 +15,49 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 
 KS = (1.0, 2.0, 3.0, 5.0)
+SHORTEST = 0.05  # s, of a span outside the tunnel that is listed
+
+
+@dataclass(frozen=True)
+class Distances:
+    """How far each of three models is from recordings: as given, with its values refitted, with the effects.
+
+    Attributes:
+        near: each model's comparison with each recording that was fitted.
+        errors: mean over signals and recordings; `ball` those of the ball, where it was seen.
+        plays: of each recording, those held out last.
+        where: time outside the tunnels with the values refitted.
+        rig_against_itself: as `rig_against_itself` has it.
+    """
+
+    near: tuple[Sequence[Comparison], ...]
+    errors: tuple[Errors, ...]
+    ball: tuple[Errors, ...]
+    plays: tuple[tuple[PlayError, ...], ...]
+    where: tuple[Span, ...]
+    rig_against_itself: float
+
+
+def distances(
+    models: Sequence[Model], plays: Sequence[Play], held: Sequence[Play], left_out: Sequence[float | None]
+) -> Distances:
+    """How far models are from recordings.
+
+    Args:
+        models: as given, refitted, with the effects.
+        held: plays that were never fitted.
+        left_out: of each model, as `errors_of` takes it.
+    """
+    unit, rolls = models[0].rig.position_unit, sees_ball(models[0], plays)
+    near, far = ([compared(m, some) for m in models] for some in (plays, held))
+    return Distances(
+        tuple(near),
+        tuple(errors_of(c, h, left, unit) for c, h, left in zip(near, far, left_out, strict=True)),
+        tuple(errors_of(c, h, None, "m") for c, h in zip(near, far, strict=True)) if rolls else (),
+        play_errors(plays, held, near, far, unit),
+        tuple(s for c in near[1] for s in c.spans if s.end - s.start >= SHORTEST),
+        rig_against_itself(near[0]),
+    )
 
 
 def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.axis import hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, moved_parts, search_of
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate, with_curves
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.added_force import visited
 from eps_tunnel_analysis.law.depends import Depends, Design, Predictor, depends, knots_of, traced, variables

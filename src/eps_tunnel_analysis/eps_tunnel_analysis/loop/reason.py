@@ -8,7 +8,8 @@ from typing import Any
 
 from eps_tunnel_analysis.check.check import Check, check
 from eps_tunnel_analysis.diagnose.addition import Addition, add_effects
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis, diagnose
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
+from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.inputs import Reading, Recorded, load_recorded

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.ball import part_name
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
 from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording, fall_sentences
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.verdict import in_words, percent

@@ -12,7 +12,7 @@ from eps_tunnel_analysis.inputs import bags
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.compare import Comparison
-    from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
+    from eps_tunnel_analysis.diagnose.axes import Diagnosis
     from eps_tunnel_analysis.inputs import Recorded
     from eps_tunnel_analysis.law.proposal import Proposal
 

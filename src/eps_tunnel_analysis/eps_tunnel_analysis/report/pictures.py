@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eps_tunnel_analysis.compare import JOINTLY, Comparison
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.verdict import Verdict
 from eps_tunnel_analysis.outputs import in_file_name, shown_share, shown_unit
 from labyrinth_sim.whole_file import beside

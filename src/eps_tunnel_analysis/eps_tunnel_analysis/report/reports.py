@@ -11,7 +11,7 @@ import numpy as np
 
 from eps_tunnel_analysis.check.check import Check
 from eps_tunnel_analysis.compare import JOINTLY, Comparison
-from eps_tunnel_analysis.diagnose.diagnose import Diagnosis
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.falls import Three
 from eps_tunnel_analysis.inputs import Recorded
 from eps_tunnel_analysis.law.proposal import Proposal
