@@ -47,11 +47,11 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
     return {
         "visible_right": rate(visible, is_right),
         "visible_undecided": rate(visible, is_undecided),
-        "visible_wrong": rate(visible, lambda r: not is_right(r) and not is_undecided(r)),
+        "visible_wrong": rate(visible, is_wrong),
         "visible_misnamed": rate(visible, lambda r: r["verdict"] == "effect" and not is_right(r)),
         "refitted_visible_right": rate(shows, is_right),
         "refitted_visible_undecided": rate(shows, is_undecided),
-        "refitted_visible_wrong": rate(shows, lambda r: not is_right(r) and not is_undecided(r)),
+        "refitted_visible_wrong": rate(shows, is_wrong),
         "false_alarm": alarms,
         "false_alarm_upper95": Figure(alarms.interval[1] if alarms.interval else None, alarms.n, alarms.interval),
         "false_alarm_named": rate(healthy, lambda r: r["verdict"] == "effect"),
@@ -86,6 +86,11 @@ def is_right(r: Record) -> bool:
 def is_undecided(r: Record) -> bool:
     """Whether the verdict leaves it open, with the truth in the stated set."""
     return r["verdict"] == "undecided" and r["truth"] in [_sorted(name) for name in r["stated"]]
+
+
+def is_wrong(r: Record) -> bool:
+    """Whether the truth is neither said nor left open."""
+    return not is_right(r) and not is_undecided(r)
 
 
 def is_false_alarm(r: Record) -> bool:

@@ -112,7 +112,7 @@ def missing_force(
     owner = np.repeat(np.arange(len(sizes)), sizes)
     first = np.concatenate([[0], np.cumsum(sizes)])
     forces = [np.zeros(playing.count(p)) for p in range(len(plays))]
-    grids = [_nodes(playing.evidence[p].times(0)) for p in range(len(plays))]
+    nodes_of = [_nodes(playing.evidence[p].times(0)) for p in range(len(plays))]
     smoothness = 1.0
     answers: list[PlayAnswer] = []
     for number in range(passes):
@@ -120,7 +120,7 @@ def missing_force(
         for p in range(len(plays)):
             mine = owner[search.used] == p
             used, scale = search.used[mine] - first[p], search.scale[mine]
-            parts.append(_linearised(playing, p, forces[p], grids[p], used, scale, search.high - search.low))
+            parts.append(_linearised(playing, p, forces[p], nodes_of[p], used, scale, search.high - search.low))
         if number and _settled(answers, parts):
             break
         if number == 0:
@@ -164,12 +164,13 @@ def _linearised(
     apart = max(1, round(DECAYED / (nodes[1] - nodes[0])))
     rows = min(apart, len(nodes))
     table = np.tile(force, (rows + 1, 1))
+    evidence = playing.evidence[play]
+    steps_at = evidence.times(0)
     for row in range(rows):
         pushed = np.arange(len(nodes)) % apart == row
-        table[row + 1] += push * np.interp(playing.evidence[play].times(0), nodes, pushed.astype(float))
+        table[row + 1] += push * np.interp(steps_at, nodes, pushed.astype(float))
     seen = playing.residuals(play, table)[:, used] / scale
     changes = np.nan_to_num(seen[1:] - seen[0]) / push
-    evidence = playing.evidence[play]
     time = evidence.time[used]
     samples, columns, answers = [], [], []
     for row in range(rows):
@@ -191,7 +192,7 @@ def _linearised(
         moved = playing.values + np.diag(steps)
         shown = playing.residuals(play, np.tile(force, (len(steps), 1)), moved)[:, used] / scale
         base = (np.nan_to_num(shown - seen[0]) / (steps / span[: len(steps)])[:, None]).T
-    at_nodes = np.interp(nodes, evidence.times(0), force)
+    at_nodes = np.interp(nodes, steps_at, force)
     return motion, nodes, seen[0] - answer @ at_nodes, answer, base
 
 

@@ -176,15 +176,18 @@ def propose_drive(
     most = float(np.nanmax(np.abs(effort), initial=0.0))
     inertia, load = inertia_of(robot, joint)
     limit, limit_why = _model_torque(robot, joint)
+    stall = limit or STALL * load or 1.0
+    stall_why = limit_why or f"so that full duty gives {STALL:g} times the largest load; to be fitted"
+    share, k, c, limited = _laws(samples, scale, zero) if unit else (0.0, 0.0, 0.0, False)
+    straight = share > 0.0
     if unit:
-        share, k, c, limited = _laws(samples, scale, zero)
-        if share > 0.0:
+        if straight:
             line = f"{k:.4g} (target - position) {'-' if c > 0 else '+'} {abs(c):.3g} speed"
             told = f"effort = {line} explains {share:.1%} of it"
             if unit == "duty":
                 gains = tuple(_law([s], scale, zero)[1] / DUTY_GAIN for s in samples)
                 kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {told}")
-                values = _duty_values(kp, robot, joint)
+                values = _duty_values(kp, stall, stall_why, n, rad)
                 return DriveProposal("pwm_servo", f"duty follows the error: {told}", values, unit, unit_why, gains)
             if unit == n:
                 torque = most if limited else 1.2 * most
@@ -199,15 +202,16 @@ def propose_drive(
                     "delay": Proposed(0.0, "s", "to be fitted"),
                 }  # fmt: skip
                 return DriveProposal("torque_pd", f"effort is a PD law on the error: {told}", values, unit, unit_why)
-    share, k = _yielding(robot, joint, samples, scale, zero) if not unit else (0.0, 0.0)
-    if share > YIELDS:
-        told = f"it gives way to its weight by {k:.3g} {n}/{rad}, which explains {share:.0%} of what speed does not"
-        kp = Proposed(_round(k / DUTY_GAIN / (limit or STALL * load)), "1", "so that full duty times it is that")
-        values = _duty_values(kp, robot, joint)
-        return DriveProposal("pwm_servo", told, values, unit, unit_why)
+    else:
+        share, gives_way = _yielding(robot, joint, samples, scale, zero)
+        if share > YIELDS:
+            by = f"{gives_way:.3g} {n}/{rad}"
+            told = f"it gives way to its weight by {by}, which explains {share:.0%} of what speed does not"
+            kp = Proposed(_round(gives_way / DUTY_GAIN / stall), "1", "so that full duty times it is that")
+            values = _duty_values(kp, stall, stall_why, n, rad)
+            return DriveProposal("pwm_servo", told, values, unit, unit_why)
     first, second = _orders(samples, scale, zero)
     ratio = second[0] / max(first[0], 1e-300)
-    straight = bool(unit) and _laws(samples, scale, zero)[0] > 0.0
     if ratio < BETTER or straight or first[1] > 0.9 * FASTEST:
         frequency, damping = second[1], second[2]
         stiffness = inertia * frequency**2
@@ -218,12 +222,10 @@ def propose_drive(
             torque_why = "twice what the recorded motion needs; to be checked against the data sheet"
             if torque == asked:
                 torque_why = "what that stiffness asks for at the largest error; to be checked against the data sheet"
-        k = _laws(samples, scale, zero)[1] if straight else 0.0
-        if straight and k > 0.0:
-            cut = _laws(samples, scale, zero)[3]
-            torque = limit or stiffness * most / k * (1.0 if cut else UNSEEN)
+        if straight:
+            torque = limit or stiffness * most / k * (1.0 if limited else UNSEEN)
             torque_why = limit_why or (
-                "the largest recorded effort in terms of that stiffness, where it is cut off" if cut
+                "the largest recorded effort in terms of that stiffness, where it is cut off" if limited
                 else f"{UNSEEN:g} times the largest recorded effort in terms of that stiffness, for it is never cut off"
             )  # fmt: skip
         why = (
@@ -240,7 +242,7 @@ def propose_drive(
             "torque": Proposed(_round(torque), n, torque_why),
             "delay": Proposed(min(second[3], 0.05), "s", "of that answer"),
         }
-        factor = stiffness / k if k > 0.0 and unit != n else None
+        factor = stiffness / k if straight else None
         return DriveProposal("torque_pd", why, values, unit, unit_why, factor=factor)
     p = min(first[1], 0.95 * FASTEST)
     torque = limit or max(2.0 * load, 10.0 * inertia, 1e-3)
@@ -263,11 +265,8 @@ def propose_drive(
     )
 
 
-def _duty_values(kp: Proposed, robot: Robot, joint: str) -> dict[str, Proposed]:
-    """Values of a drive by duty cycle with the gain `kp`, per DUTY_GAIN."""
-    n, rad = ("N", "m") if _slides(robot, joint) else ("N m", "rad")
-    limit, why = _model_torque(robot, joint)
-    stall = limit or STALL * inertia_of(robot, joint)[1] or 1.0
+def _duty_values(kp: Proposed, stall: float, why: str, n: str, rad: str) -> dict[str, Proposed]:
+    """Values of a drive by duty cycle with the gain `kp`, per DUTY_GAIN, and `stall` N m (N) at full duty."""
     return {
         "kp": kp,
         "duty_gain": Proposed(DUTY_GAIN, f"1/{rad}", "a scale, so that kp is near those of registers"),
@@ -276,7 +275,7 @@ def _duty_values(kp: Proposed, robot: Robot, joint: str) -> dict[str, Proposed]:
         "torque_constant": Proposed(
             _round(stall * 5.0 / 12.0),
             f"{n}/A",
-            why or f"so that full duty gives {STALL:g} times the largest load; to be fitted",
+            why,
         ),
         "delay": Proposed(0.0, "s", "to be fitted"),
     }
