@@ -2,6 +2,7 @@
 """Laws of the side-by-side descent."""
 
 import numpy as np
+import pytest
 
 from eps_tunnel_analysis.fit.lockstep import descend
 
@@ -76,3 +77,34 @@ def test_hopeless_problems_are_stopped_early() -> None:
     assert [1 in owners for owners in asked[:3]] == [True] * 3  # the start and one round of two batches
     assert len(asked) > 3
     assert all(1 not in owners for owners in asked[3:])
+
+
+def test_what_a_bound_holds_back_the_others_make_up_for_at_once() -> None:
+    """Two values that do almost the same, and the first ought to go beyond its bound."""
+    slopes = np.array([[1.0, 1.0], [1.0, 1.05]])
+    target = slopes @ np.array([1.5, 0.2])
+    second = np.linalg.lstsq(slopes[:, 1:], target - slopes[:, 0], rcond=None)[0][0]
+    found = descend(lambda z, o: z @ slopes.T - target, np.array([[0.5, 0.5]]), np.ones((1, 2), bool), 2, tolerance=0.0)
+    assert found.z[0] == pytest.approx([1.0, second], abs=1e-3)
+
+
+def test_cheap_slopes_lead_to_the_same_place_and_dear_ones_take_over_where_they_do_not() -> None:
+    def off(z, owners):
+        return 0.9 * response(z * np.array([1.0, 1.1, 1.0])) + 7.0
+
+    def backwards(z, owners):
+        return -residuals(z, owners)
+
+    starts, free = np.full((1, 3), 0.4), np.ones((1, 3), bool)
+    asked = []
+
+    def counted(z, owners):
+        asked.append(len(z))
+        return residuals(z, owners)
+
+    for cheap in (off, backwards):
+        found = descend(counted, starts, free, rounds=40, tolerance=1e-12, slopes=cheap)
+        assert np.allclose(found.z, TRUTH, atol=1e-3)
+    asked.clear()
+    descend(counted, starts, free, rounds=3, tolerance=1e-12, slopes=off)
+    assert asked == [1, 3, 3, 3]  # the start, and the steps that are tried

@@ -8,7 +8,7 @@ import pytest
 from fit_cases import FREE, made_by, plays, start, step
 from fit_cases import TRUTH as SLOW
 
-from eps_tunnel_analysis.diagnose.axis import nested_refits, rival_refits, stated_jobs
+from eps_tunnel_analysis.diagnose.axis import nested_refits, refined, rival_refits, stated_jobs
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
@@ -217,16 +217,16 @@ def test_a_set_that_fits_worse_than_one_it_contains_has_not_converged(
 ) -> None:
     monkeypatch.setattr(search, "judged", lambda jobs, rounds: [])  # no descent helps
     base = refit(search, (), 2.0 if not smaller else 9.0)
-    found = nested_refits(search, base, [refit(search, e, c) for e, c in ((smaller, 2.0), (larger, 4.0)) if e])
+    _, found = nested_refits(search, base, [refit(search, e, c) for e, c in ((smaller, 2.0), (larger, 4.0)) if e])
     assert {r.effects: r.converged for r in found}[larger] is not worse
-    near = nested_refits(search, base, [refit(search, e, c) for e, c in ((smaller, 2.0), (larger, 2.0)) if e])
+    _, near = nested_refits(search, base, [refit(search, e, c) for e, c in ((smaller, 2.0), (larger, 2.0)) if e])
     assert all(r.converged for r in near)
 
 
 def test_it_is_started_again_from_the_one_that_it_contains(search: Search) -> None:
     base = search.judged([((), search.start)], 2)[0]
     stuck = refit(search, ("load_friction.x",), 100.0 * base.cost, share=0.5)
-    (found,) = nested_refits(search, base, [stuck])
+    _, (found,) = nested_refits(search, base, [stuck])
     assert found.converged
     assert found.cost < 1.02 * base.cost
 
@@ -247,6 +247,62 @@ def test_a_set_is_tried_again_at_the_base_values_of_a_better_one_that_has_an_eff
     assert np.array_equal(fitted[(one,)][gone], search.start[gone])
     kept = np.setdiff1d(np.arange(len(search.start)), gone)
     assert np.array_equal(fitted[(one,)][kept], both.values[kept])
+
+
+def test_the_base_is_tried_again_at_the_values_that_it_has_beside_an_effect(search: Search) -> None:
+    right = search.judged([((), search.start)], 2)[0]
+    beside = refit(search, ("load_friction.x",), 1.1 * right.cost, share=0.01)
+    beside.values[: len(search.library.base)] = right.values[: len(search.library.base)]
+    base, _ = nested_refits(search, refit(search, (), 100.0 * right.cost), [beside])
+    assert base.effects == ()
+    assert base.cost < 1.02 * right.cost
+
+
+def test_in_the_end_values_make_up_for_the_steps_that_the_model_makes(search: Search) -> None:
+    truth = np.array([TRUTH.get(name, value) for name, value in zip(search.library.names, search.start, strict=True)])
+    made = search.levels["own"](truth[None])[0]
+    search.levels = {level: e.less(made) for level, e in search.levels.items()}  # it was this that made the trials
+    limit = search.judged([((), truth)], 8)[0]
+    run = search.as_run(limit)
+    first, last = (np.mean(search.residuals(r.values[None], "own") ** 2) for r in (limit, run))
+    assert last < 0.2 * first
+    assert search.levels["own"].shortest == pytest.approx(0.002, rel=0.2)
+    assert not search.levels["own"].extrapolate
+
+
+def test_where_the_best_needs_shorter_steps_what_is_near_it_is_judged_anew(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = search.judged([((), search.start)], 4)[0]
+    good = search.judged([((search.library.find("load_friction.x"),), base.values)], 4)[0]
+    far = refit(search, ("directional_load_friction.x",), 50.0 * max(good.cost, 1.0))
+    assert not search.refine_at(good.values)
+    assert refined(search, base, [good, far]) == (base, [good, far])
+    shorter = search.levels["exact"].finer()
+
+    def refine_at(values: np.ndarray) -> bool:
+        search.levels["fine"] = search.levels["exact"] = shorter
+        return True
+
+    monkeypatch.setattr(search, "refine_at", refine_at)
+    again, found = refined(search, base, [good, far])
+    assert [r.effects for r in found] == [good.effects, far.effects]
+    assert found[1] is far
+    for new in (again, found[0]):
+        there = shorter(new.values[None])[0, search.used] / search.scale
+        assert np.allclose(new.residuals, there, atol=1e-9)
+
+
+@pytest.mark.parametrize(("share", "shorter"), [(1.0, False), (0.003, True)])
+def test_steps_are_halved_until_the_answer_stands(recorded: list[Play], share: float, shorter: bool) -> None:
+    search = part_search(start().with_values(TRUTH), recorded)
+    steps = search.levels["fine"].shortest
+    search.scale = share * search.scale  # a smaller floor sees more of what steps get wrong
+    there = search.levels["exact"](search.start[None])
+    search.levels = {level: e.less(there[0]) for level, e in search.levels.items()}  # nothing else is left
+    assert search.refine_at(search.start) is shorter
+    assert (search.levels["fine"].shortest < steps) is shorter
+    assert search.levels["exact"] is search.levels["fine"]
 
 
 def test_a_set_starts_within_its_bounds_though_what_it_contains_goes_further(recorded: list[Play]) -> None:

@@ -93,6 +93,25 @@ def test_what_only_a_sensor_shows_is_not_stepped_again(model: Model, commands: n
     assert both.steps == 2 * rows[0].steps  # and for each command
 
 
+def test_extrapolated_steps_come_nearer_to_steps_of_no_length(model: Model) -> None:
+    rich = model.with_effect("sensor_quantisation", "motor_x", {"tick": 0.002, "noise": 0.0})
+    swing = np.repeat(0.03 * np.sin(3.0 * TIME)[:, None], 2, axis=1)
+
+    def at(step: float, **more: bool) -> np.ndarray:
+        return simulate_batch(rich, (), np.empty((1, 0)), TIME, swing[None], timestep=step, **more).values[0, 0]
+
+    limit, plain = at(0.000625, extrapolate=True), at(0.00125)
+    extrapolated = at(0.0025, extrapolate=True)
+    board = rich.rig.signals.index("board_x")
+    plain_error, error = (np.sqrt(np.mean((seen - limit)[:, board] ** 2)) for seen in (plain, extrapolated))
+    assert error < 0.05 * plain_error
+    ticks = extrapolated[:, rich.rig.signals.index("motor_x")] / 0.002
+    assert np.allclose(ticks, np.round(ticks), atol=1e-9)  # sensors see what was extrapolated
+    both = simulate_batch(model, ["drive.x.p"], [[8.0], [15.0]], TIME, swing[None], extrapolate=True)
+    first = simulate_batch(model, ["drive.x.p"], [[8.0]], TIME, swing[None], extrapolate=True)
+    assert np.array_equal(both.values[:1], first.values)
+
+
 def test_a_batch_is_its_simulations(model: Model, commands: np.ndarray) -> None:
     names, values = ["drive.x.p", "joint.motor_y.armature"], np.array([[5.0, 0.02], [12.0, 0.005]])
     batch = simulate_batch(model, names, values, TIME, commands[None])

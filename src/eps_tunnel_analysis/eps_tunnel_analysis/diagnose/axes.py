@@ -49,7 +49,7 @@ def together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
 def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[str]) -> Model:
     """A model with these effects where they act, and with each axis's values fitted together with its own."""
     for axis in axes:
-        refit, library = axis.acting(named), axis.search.library
+        refit, library = axis.search.as_run(axis.acting(named)), axis.search.library
         values = dict(zip(library.names, (float(v) for v in refit.values), strict=True))
         for name in refit.effects:
             candidate = library.find(name)

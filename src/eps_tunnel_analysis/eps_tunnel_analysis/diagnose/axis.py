@@ -141,9 +141,9 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
     return search.best_of(jobs, ROUNDS) if jobs else []
 
 
-def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
-    """The refits; one that fits worse than a set it contains is started again from there, and the sets within the best
-    ones from theirs.
+def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The base and the refits; one that fits worse than a set it contains is started again from there, and the sets
+    within the best ones, the base among them, from theirs.
 
     A set that contains another, or an effect that contains another one, can always be set to do the same, so it cannot
     fit worse. What still does has not converged. And an effect more may have helped only because the drive's values
@@ -157,25 +157,28 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> list[
             start = _contained(search, refit, smaller)
             if start is not None:
                 jobs.append((tuple(search.library.find(n) for n in refit.effects), start))
-    found = best_by_set([*refits, *search.judged(jobs, ROUNDS)])
+    found = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
 
     def misfits(refit: Refit) -> bool:
-        return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in (base, *found))
+        return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in found)
 
-    return [replace(refit, converged=not misfits(refit)) for refit in found]
+    bare = next(r for r in found if not r.effects)
+    return bare, [replace(refit, converged=not misfits(refit)) for refit in found if refit.effects]
 
 
 def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
-    """The best sets of several effects without one of them, at the values of the whole set."""
-    jobs: dict[frozenset[str], Job] = {}
-    several = [r for r in sorted(refits, key=lambda r: r.cost) if len(r.effects) > 1]
-    for refit in several[:TAKEN_APART]:
+    """The best sets of several effects, and the best single ones, without one of them, at the values of the whole."""
+    jobs: list[Job] = []
+    ordered = sorted(refits, key=lambda r: r.cost)
+    several, single = ([r for r in ordered if (len(r.effects) > 1) == many] for many in (True, False))
+    for refit in (*several[:TAKEN_APART], *single[:TAKEN_APART]):
         for name in refit.effects:
             left = tuple(search.library.find(n) for n in refit.effects if n != name)
             values, columns = refit.values.copy(), search.columns(search.library.find(name))
             values[columns] = search.start[columns]
-            jobs.setdefault(frozenset(c.name for c in left), (left, values))
-    return list(jobs.values())
+            if not left or {c.name for c in left} not in [{c.name for c in other} for other, _ in jobs]:
+                jobs.append((left, np.clip(values, search.low, search.high)))
+    return jobs
 
 
 def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
@@ -336,6 +339,7 @@ def refitted_sets(
         # An effect must not be named for a better start of the base.
         base = better_base(search, base, [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]])
         refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
+        base, refits = refined(search, base, refits)
         best = lowest([base, *refits])
         # Without a floor nothing says when to stop, so one effect at a time is judged.
         enough = healthy + SETTINGS.form * max(base.cost, level)
@@ -351,8 +355,25 @@ def refitted_sets(
             refits = best_by_set([*refits, *more])
             better = lowest([best, *more])
             worth, best = _explains(best, better), better
-        refits = nested_refits(search, base, refits)
+        base, refits = nested_refits(search, base, refits)
+        base, refits = refined(search, base, refits)
     return base, refits
+
+
+def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The base and the refits; the best of them judged anew, by shorter steps, where the best one needs these.
+
+    How long steps may be is a matter of what is left: beside what is missing, the base needs no such care.
+    """
+    best = lowest([base, *refits])
+    if not search.refine_at(best.values):
+        return base, list(refits)
+    near = [r for r in refits if r.cost < RUNNING * max(best.cost, 1.0)]
+    jobs = [(tuple(search.library.find(n) for n in r.effects), r.values) for r in (base, *near)]
+    again = search.judged(jobs, ROUNDS)
+    search.settle_at(again[0])
+    judged = {r.effects: r for r in again[1:]}
+    return again[0], best_by_set([judged.get(r.effects, r) for r in refits])
 
 
 def _judged(

@@ -24,7 +24,7 @@ from labyrinth_sim.rig import BALL_SIGNALS, Axis
 from labyrinth_sim.trials import Array
 
 STEPS: Mapping[Level, float] = {"coarse": 0.005, "fine": 0.0025, "exact": 0.00125}
-"""s between the steps of roll-outs: to search, where that errs, and to judge"""
+"""s between the steps of roll-outs: to search, where that errs, and to judge; smooth motion is extrapolated instead"""
 BEGUN = 0.25  # s after the start, before which nothing is compared: a roll-out starts where sensors say
 TURN = 0.05  # s over which a change of the command's speed counts as one
 SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
@@ -185,9 +185,18 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
     seen = [play_evidence(lib.model, play, part.signals) for play in plays]
     # The drive's own ticks make the misfit rough wherever stiction lets it rest at any place within one.
     smooth = lib.model.with_values({n: 0.0 for n in lib.model.values() if n.endswith(".feedback_tick")}, "smoothed")
-    models: dict[Level, Model] = {"coarse": smooth, "fine": smooth, "exact": lib.model}
-    many = (run.nthread, run.spread)
-    levels = {k: Evidence(models[k], lib.names, seen, part.signals, step, *many) for k, step in STEPS.items()}
+    ball, ticks = part.axes == (BALL,), smooth.values() != lib.model.values()
+    coarse, fine, exact = (
+        partial(Evidence, free=lib.names, plays=seen, signals=part.signals, step=step, nthread=run.nthread,
+                spread=run.spread)
+        for step in STEPS.values()
+    )  # fmt: skip
+    levels: dict[Level, Evidence] = {"coarse": coarse(smooth)}
+    # Neither contacts nor ticks let a motion be extrapolated.
+    levels["fine"] = fine(smooth) if ball else coarse(smooth, extrapolate=True)
+    levels["exact"] = exact(lib.model) if ball or ticks else levels["fine"]
+    if not ball:
+        levels["own"] = coarse(lib.model, step=float(compiled(lib.model, with_ball=False).mj.opt.timestep))
     evidence = levels["coarse"]
     torques = {m.signal: axis for axis in lib.model.rig.axes for m in axis.measured if m.quantity == "torque"}
     scale, used = evidence.floor.copy(), evidence.time >= BEGUN

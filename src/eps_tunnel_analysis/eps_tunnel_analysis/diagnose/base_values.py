@@ -3,12 +3,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined
 from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
+from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
@@ -18,6 +20,7 @@ BASE_STARTS = 8  # how many of them are descended
 APART = 0.1  # of the bounds' span, between starts
 NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 BASE_ROUNDS = 8  # of each descent
+COMPARED_ROUNDS = 3  # of the finalists, before they are compared
 VALLEY_POINTS = 8  # to either side of the best, along what it determines least
 BASE_FINALISTS = 3  # of the starts, descended to the end
 
@@ -48,14 +51,21 @@ def fitted_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart],
 
     Whatever couples to a wrong drive of another axis turns along wrongly.
     """
-    bases = Bases()
     chosen = [p for p in parts if p.base]
-    for part in (*chosen, *(group for group in joined(model, chosen) if len(group.axes) > 1)):
-        search = axis_search(bases.among(model, part), plays, part, replace(run, only=()))
-        refit = base_refit(search, bases.known(part))
-        found = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
-        bases = Bases({**bases.values, **found}, bases.evaluations + search.evaluations)
+    bases = Bases()
+    for together in (chosen, [group for group in joined(model, chosen) if len(group.axes) > 1]):
+        found = side_by_side(partial(_fitted, model, plays, bases), together, run)
+        bases = Bases({n: v for one in (bases, *found) for n, v in one.values.items()},
+                      bases.evaluations + sum(one.evaluations for one in found))  # fmt: skip
     return bases
+
+
+def _fitted(model: Model, plays: Sequence[Play], bases: Bases, part: AxisPart, run: SearchOptions) -> Bases:
+    """The base values of one part, beside others whose values are those of `bases`."""
+    search = axis_search(bases.among(model, part), plays, part, replace(run, only=()))
+    refit = base_refit(search, bases.known(part))
+    values = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
+    return Bases(values, search.evaluations)
 
 
 def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refit:
@@ -123,9 +133,10 @@ def best_valleys(search: Search, starts: Sequence[Array]) -> list[Refit]:
     """The base values alone, from the best of several (K,) values and from far along the best one's valley."""
     early = search.refit([((), point) for point in starts], BASE_ROUNDS, rough=False)
     best = sorted(early, key=lambda r: r.objective)[:BASE_FINALISTS]
-    finer = search.refit([((), r.values) for r in best], BASE_ROUNDS, "fine", rough=False)
+    finer = search.refit([((), r.values) for r in best], COMPARED_ROUNDS, "fine", rough=False)
     away = along_valley(search, min(finer, key=lambda r: r.objective))
-    finer += search.refit([((), point) for point in away], BASE_ROUNDS, "fine", rough=False)
+    beside = search.refit([((), point) for point in away], BASE_ROUNDS, rough=False)
+    finer += search.refit([((), r.values) for r in beside], COMPARED_ROUNDS, "fine", rough=False)
     return sorted(finer, key=lambda r: r.objective)[:BASE_FINALISTS]
 
 

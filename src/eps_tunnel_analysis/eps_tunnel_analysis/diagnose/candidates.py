@@ -22,6 +22,7 @@ TICKS_APART = 1.056  # times the next finer, for the valley of a tick is some 4 
 FINEST_TICK = 0.05  # of the typical one; the coarsest
 COARSEST_TICK = 0.95  # of the largest
 BALL_VALUES = 25
+MOST_CROSSED = 2  # values that only shape an effect, of which all combinations are tried
 
 
 @dataclass(frozen=True)
@@ -175,16 +176,30 @@ def starts(candidate: Candidate) -> Array:
         return spread[spread[:, 0] != declared[0].off]
     switching = [p for p in declared if p.off is not None]
     strengths = [[*row] for ladder in _ladders(switching) for row in ladder]
-    shapes: list[list[float]] = [[]]
-    for p in (p for p in declared if p.off is None):
-        spread = np.geomspace(p.low, p.high, 7)[1:-1] if p.low > 0 else np.linspace(p.low, p.high, 5)[:-1]
-        shapes = [[*row, float(v)] for row in shapes for v in spread]
+    shaping = [p for p in declared if p.off is None]
+    shapes: list[list[float]] = [[]] if len(shaping) <= MOST_CROSSED else _one_by_one(shaping)
+    for p in shaping if len(shaping) <= MOST_CROSSED else ():
+        shapes = [[*row, float(v)] for row in shapes for v in _spread(p)]
     rows = []
     for strength in strengths:
         for shape in shapes:
             values = iter(strength), iter(shape)
             rows.append([next(values[0] if p.off is not None else values[1]) for p in declared])
     return np.unique(np.array(rows), axis=0)
+
+
+def _spread(p: Parameter) -> Array:
+    """A few places between the bounds of what only shapes an effect."""
+    return np.geomspace(p.low, p.high, 7)[1:-1] if p.low > 0 else np.linspace(p.low, p.high, 5)[:-1]
+
+
+def _one_by_one(shaping: Sequence[Parameter]) -> list[list[float]]:
+    """All at their typical values, and each of them elsewhere."""
+    typical = [p.typical for p in shaping]
+    rows = [typical]
+    for k, p in enumerate(shaping):
+        rows += [[*typical[:k], float(v), *typical[k + 1 :]] for v in _spread(p)]
+    return rows
 
 
 def is_tick(candidate: Candidate) -> bool:

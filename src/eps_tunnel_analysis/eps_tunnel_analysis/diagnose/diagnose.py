@@ -16,6 +16,7 @@ from eps_tunnel_analysis.diagnose.experiment import next_experiment
 from eps_tunnel_analysis.diagnose.notes import notes_of
 from eps_tunnel_analysis.diagnose.progress import RolloutCount, RolloutProgress, expected_rollouts
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.diagnose.verdict import Verdict, decide, sentence
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.simulated import Play
@@ -62,7 +63,9 @@ def diagnose(
 
     # Each axis by itself, the others moving as they do; together what shakes together.
     bases = fitted_bases(model, alone, moved, run) if len(moved) > 1 else Bases()
-    axes = [diagnose_axis(model, alone, p, run, p.level(levels), bases) for p in joined(model, moved)]
+    axes = side_by_side(
+        lambda part, run: diagnose_axis(model, alone, part, run, part.level(levels), bases), joined(model, moved), run
+    )
     judged = len(axes)
     if rolls:
         # It rolls as the axes tilt, so it is judged with what is missing there added already.

@@ -74,6 +74,7 @@ class Evidence:
         step: s, at most, between the steps of a roll-out.
         nthread: 0 for one per CPU; the answer does not depend on it.
         spread: has roll-outs done elsewhere; None for this machine. The answer does not depend on it either.
+        extrapolate: to steps of no length, from roll-outs at `step` and at half of it.
 
     Attributes:
         mean: (R,) what was measured, play by play, signal by signal, bin by bin.
@@ -91,9 +92,11 @@ class Evidence:
         step: float,
         nthread: int = 0,
         spread: Spread | None = None,
+        extrapolate: bool = False,
     ) -> None:
         self.model, self.free, self.plays, self.signals = model, tuple(free), tuple(plays), tuple(signals)
-        self.nthread, self.spread = nthread, spread
+        self.nthread, self.spread, self.extrapolate = nthread, spread, extrapolate
+        self.missed: Array | float = 0.0
         self.known = known_values(model, [p.play for p in plays])
         self._steps = [_even(p.width, step) for p in plays]
         parts = [(p, s) for p in range(len(plays)) for s in range(len(signals))]
@@ -106,8 +109,15 @@ class Evidence:
     def finer(self) -> "Evidence":
         """The same with steps half as long."""
         step = min(self._steps) / 2.0
-        other = Evidence(self.model, self.free, self.plays, self.signals, step, self.nthread, self.spread)
-        other.initial = self.initial
+        many = (self.nthread, self.spread, self.extrapolate)
+        other = Evidence(self.model, self.free, self.plays, self.signals, step, *many)
+        other.initial, other.missed = self.initial, self.missed
+        return other
+
+    def less(self, missed: Array) -> "Evidence":
+        """The same, less residuals (R,) that are none of its concern, in the signals' units."""
+        other = self._again()
+        other.missed = missed
         return other
 
     def of(self, model: Model) -> "Evidence":
@@ -143,6 +153,11 @@ class Evidence:
     def step(self, play: int) -> float:
         """s between the points of a play's simulation grid."""
         return self._steps[play]
+
+    @property
+    def shortest(self) -> float:
+        """s, of all steps that are taken."""
+        return min(self._steps) / (2.0 if self.extrapolate else 1.0)
 
     def times(self, play: int) -> Array:
         """(K,) s, a play's simulation grid."""
@@ -183,7 +198,7 @@ class Evidence:
 
     def __call__(self, values: Array) -> Array:
         """(n, k) values in their units to (n, R) residuals in the signals' units; NaN where a roll-out diverged."""
-        return self._residuals(np.atleast_2d(values))
+        return self._residuals(np.atleast_2d(values)) - self.missed
 
     @cached_property
     def _residuals(self) -> Residuals:
@@ -202,7 +217,7 @@ class Evidence:
                 self.model, self.free, table, self.times(number), self.commands[number][None],
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
-                signals=self.signals, timestep=self.step(number), nthread=self.nthread,
+                signals=self.signals, timestep=self.step(number), nthread=self.nthread, extrapolate=self.extrapolate,
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]

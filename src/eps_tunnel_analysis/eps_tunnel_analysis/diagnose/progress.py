@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Sequence
+from threading import Lock
 from typing import Protocol
 
 PER_BASE_VALUE = 95  # roll-outs for each base value of an axis: fitted first, and again beside the best effects
@@ -24,15 +25,17 @@ def expected_rollouts(axes: Sequence[tuple[int, int]]) -> int:
 
 
 class RolloutCount:
-    """Adds up searches that follow one another, each of which counts from 0."""
+    """Adds up searches, each of which counts from 0. Of one name they follow one another; others may run meanwhile."""
 
     def __init__(self, report: RolloutProgress, expected: int) -> None:
         self._report, self._expected = report, expected
-        self._before, self._now, self._what = 0, 0, ""
+        self._before, self._now = 0, dict[str, int]()
+        self._lock = Lock()
 
     def __call__(self, what: str, count: int) -> None:
-        if what != self._what or count < self._now:
-            self._before += self._now
-        self._what, self._now = what, count
-        made = self._before + count
-        self._report(what, made, max(self._expected, math.ceil(STILL * made)))
+        with self._lock:
+            if count < self._now.get(what, 0):
+                self._before += self._now[what]
+            self._now[what] = count
+            made = self._before + sum(self._now.values())
+            self._report(what, made, max(self._expected, math.ceil(STILL * made)))

@@ -8,6 +8,7 @@ compensate to first order. Then a descent of the base values and the candidate's
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -34,6 +35,7 @@ SCANNED = 0.15  # of it
 LEAST_JUDGED = 2
 OUT_OF_REACH = 5.0  # times the best cost: no exact step brings that down
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
+OWN_ROUNDS = 4  # of descent at the model's own steps, in the end
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps
@@ -44,7 +46,7 @@ ROUGH = (
     0.2  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
 )
 
-Level = Literal["coarse", "fine", "exact"]
+Level = Literal["coarse", "fine", "exact", "own"]
 Job = tuple[tuple[Candidate, ...], Array]
 """Candidates to fit together, and (K,) values to start from."""
 
@@ -107,8 +109,9 @@ class Search:
     """Roll-outs of a library of candidates, in units of the noise floor.
 
     Args:
-        levels: over the library's model and all of its names, at three steps: the coarse one searches, the fine one
-            takes over where that errs, and by the exact one refits are judged.
+        levels: over the library's model and all of its names. The coarse one searches and gives slopes, by the fine one
+            refits are judged; the exact one has the drives' ticks, too, and is the fine one where there are none. Where
+            there is one, the own level makes the steps that the model makes elsewhere.
         scale: (n,) the noise floor at each of the evidence's samples.
         used: (R,) which of the evidence's samples are compared.
         progress: called with the number of roll-outs so far.
@@ -125,6 +128,7 @@ class Search:
         difference: float = DIFFERENCE,
     ) -> None:
         self.library, self.levels, self.used = library, dict(levels), used
+        self._ticks = levels["exact"] is not levels["fine"]
         self.evidence = levels["coarse"]
         infos = library.model.parameters()
         self.low = np.array([infos[name].low for name in library.names])
@@ -233,16 +237,22 @@ class Search:
         shows = np.nan_to_num(np.mean(moved**2, axis=1), nan=np.inf).reshape(-1, 2).max(axis=1)
         self._idle[base] = shows < UNFELT
 
-    def refine_at(self, values: Array) -> None:
-        """Halves the exact step until at these values (K,) the answer stands."""
-        here = self.levels["exact"](values[None])[0, self.used] / self.scale
-        while self.levels["exact"].step(0) > FINEST:
-            finer = self.levels["exact"].finer()
-            there = finer(values[None])[0, self.used] / self.scale
-            self.evaluations += 2
-            if not np.mean((there - here) ** 2) > STANDS * max(1.0, SETTINGS.form * np.mean(here**2)):
-                return
-            self.levels["exact"], here = finer, there
+    def refine_at(self, values: Array) -> bool:
+        """Halves the steps by which refits are judged until at these values (K,) the answer stands; whether it did."""
+        before = self.levels["exact"].shortest, self.levels["fine"].shortest
+        levels: tuple[Level, ...] = ("fine", "exact") if self._ticks else ("fine",)
+        for level in levels:
+            here = self.residuals(values[None], level)[0]
+            while self.levels[level].shortest > FINEST:
+                finer = self.levels[level].finer()
+                there = finer(values[None])[0, self.used] / self.scale
+                self.evaluations += 1
+                if not np.mean((there - here) ** 2) > max(STANDS, SETTINGS.form * np.mean(here**2)):
+                    break
+                self.levels[level], here = finer, there
+        if not self._ticks:
+            self.levels["exact"] = self.levels["fine"]
+        return before != (self.levels["exact"].shortest, self.levels["fine"].shortest)
 
     def as_stated(self) -> "Search":
         """The same, moving none of the base values of which the model states what is expected."""
@@ -262,8 +272,9 @@ class Search:
         return [column for column in (self._column[name] for name in names) if not self._idle[column]]
 
     def refit(
-        self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None, rough: bool = True
-    ) -> list[Refit]:
+        self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,
+        rough: bool = True,
+    ) -> list[Refit]:  # fmt: skip
         """Descends jobs side by side, all of them to the end.
 
         Args:
@@ -282,14 +293,15 @@ class Search:
         free &= ~self._idle
         span = self.high - self.low
 
-        def scaled(z: Array, owners: NDArray[np.int64]) -> Array:
+        def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
             seen = self.residuals(np.clip(self.low + z * span, self.low, self.high), level) + more[owners]
             return np.concatenate([seen, self.firmness * (z - stated)], axis=1)
 
         stated = (self.start - self.low) / span
         size = len(self.used)
         z0 = (np.array([start for _, start in jobs]) - self.low) / span
-        result = descend(scaled, z0, free, rounds, self.difference, TOLERANCE, response=RESPONSE)
+        cheaper = partial(scaled, level="coarse") if level != "coarse" else None
+        result = descend(scaled, z0, free, rounds, self.difference, TOLERANCE, response=RESPONSE, slopes=cheaper)
         values = np.clip(self.low + result.z * span, self.low, self.high)
         return [
             Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],
@@ -322,7 +334,9 @@ class Search:
         return [*best_by_set(judged), *ordered[len(near) :]]
 
     def judged(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
-        """Jobs descended at the fine step, corrected by the exact one at each one's own values, and judged by that."""
+        """Jobs descended at the fine level, corrected at each one's own values by the exact one, and judged by that."""
+        if not self._ticks:
+            return self.refit(jobs, rounds, "fine")
         if not jobs:
             return []
         points = np.array([values for _, values in jobs])
@@ -337,6 +351,12 @@ class Search:
             exact = [_with_residuals(r, row) for r, row in zip(refits, shown, strict=True)]
             best = [min(pair, key=lambda r: r.objective) for pair in zip(best or exact, exact, strict=True)]
         return best
+
+    def as_run(self, refit: Refit) -> Refit:
+        """A refit with its values fitted to the steps that the model makes elsewhere, and to what those get wrong."""
+        if "own" not in self.levels:
+            return refit
+        return self.refit([(self._candidates(refit), refit.values)], OWN_ROUNDS, "own")[0]
 
     def _rough(self, refits: Sequence[Refit]) -> list[bool]:
         """Which of the refits the coarse step gets wrong: a torque that saturates soon, say."""
@@ -438,7 +458,7 @@ class Search:
         columns = self.fitted(refit)
         points = self.moved(refit)
         steps = np.diagonal((points - refit.values)[:, columns]) / (self.high - self.low)[columns]
-        answers = self.residuals(np.vstack([refit.values, points]), "fine")
+        answers = self.residuals(np.vstack([refit.values, points]))
         return jacobian(answers[0], answers[1:], steps)
 
 

@@ -6,7 +6,7 @@ free value for the Jacobian and one per damping for the step; the roll-outs of a
 together.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,8 @@ from labyrinth_sim.trials import Array
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])
 TRUST = 1e-12
+LEAST_DAMPED = 1e-3
+LEAST_PROMISE = 10.0  # times the tolerance, for which slopes that led nowhere are taken again, by the simulator
 RESCALED = 10.0  # times by which a finite difference grows or shrinks from round to round, at most
 SMALLEST, LARGEST = 1e-6, 0.05  # finite differences, normalised
 
@@ -54,6 +56,7 @@ def descend(
     tolerance: float = 1e-4,
     hopeless: Callable[[Array], NDArray[np.bool_]] | None = None,
     response: float | None = None,
+    slopes: BatchResiduals | None = None,
 ) -> Descent:
     """Descend every problem from its start.
 
@@ -67,6 +70,7 @@ def descend(
         hopeless: told the costs (B,) after each round, says whom to stop early.
         response: root mean square by which a finite difference is to change the residuals; each is adapted to that.
             Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope.
+        slopes: a cheaper simulator, whose slopes stand in for the simulator's until a problem gets no further by them.
     """
     z = np.clip(np.array(starts, dtype=np.float64), 0.0, 1.0)
     count, size = z.shape
@@ -79,18 +83,25 @@ def descend(
     rest = ~np.isfinite(cost) | ~free.any(axis=1) | (cost == 0.0)
     converged = ~free.any(axis=1) | (cost == 0.0)
     jacobians: dict[int, tuple[Array, NDArray[np.int64]]] = {}
+    cheap = np.full(count, slopes is not None)
     for _ in range(rounds):
         active = everyone[~rest]
         if len(active) == 0:
             break
         asked = np.array([b for b in active if b not in jacobians], dtype=np.int64)
-        if len(asked):
-            fresh, used = _jacobians(residuals, z, at, asked, free, steps)
+        for simulator, own in ((slopes, asked[cheap[asked]]), (residuals, asked[~cheap[asked]])):
+            if simulator is None or not len(own):
+                continue
+            here = at[own]
+            if simulator is not residuals:
+                here = simulator(z[own], own)
+                evaluations += len(own)
+            fresh, used = _jacobians(simulator, z, dict(zip(own, here, strict=True)), own, free, steps)
             jacobians |= fresh
             evaluations += used
             if response is not None:
-                for b, (slopes, columns) in fresh.items():
-                    steps[b, columns] = _adapted(steps[b, columns], slopes, response)
+                for b, (found, columns) in fresh.items():
+                    steps[b, columns] = _adapted(steps[b, columns], found, response)
         tried = np.repeat(active, len(DAMPINGS))
         factors = np.tile(DAMPINGS, len(active)) * damping[tried]
         proposals = np.array([_step(z[b], at[b], *jacobians[b], f) for b, f in zip(tried, factors, strict=True)])
@@ -100,6 +111,10 @@ def descend(
         for row, b in enumerate(active):
             winner = int(np.argmin(costs[row]))
             if costs[row, winner] >= cost[b]:
+                if cheap[b] and _promise(z[b], at[b], *jacobians[b]) > LEAST_PROMISE * tolerance:
+                    cheap[b] = False
+                    del jacobians[int(b)]
+                    continue
                 damping[b] *= 30.0
                 if damping[b] > 1e6:
                     rest[b] = converged[b] = True
@@ -125,7 +140,7 @@ def _cost(residuals: Array) -> Array:
 def _jacobians(
     residuals: BatchResiduals,
     z: Array,
-    at: Array,
+    at: Mapping[int, Array],
     active: NDArray[np.int64],
     free: NDArray[np.bool_],
     steps: Array,
@@ -137,6 +152,12 @@ def _jacobians(
     answers = residuals(np.concatenate([where for where, _ in points.values()]), owners)
     slopes = {b: (jacobian(at[b], answers[owners == b], points[b][1]), c) for b, c in columns.items()}
     return slopes, len(owners)
+
+
+def _promise(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64]) -> float:
+    """Share of the cost that these slopes say can be gained."""
+    ahead = (_step(z, at, jacobian, columns, LEAST_DAMPED) - z)[columns]
+    return 1.0 - float(np.sum((at + jacobian @ ahead) ** 2) / max(np.sum(at**2), np.finfo(float).tiny))
 
 
 def _adapted(steps: Array, slopes: Array, response: float) -> Array:
@@ -159,6 +180,17 @@ def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], damp
     normal = j.T @ j
     scale = np.diag(normal).copy()
     scale += TRUST * max(scale.max(), np.finfo(float).tiny)
-    step = np.linalg.lstsq(normal + damping * np.diag(scale), -gradient[moving], rcond=None)[0]
+    normal += damping * np.diag(scale)
+    low, high = -here[moving], 1.0 - here[moving]
+    step, held = np.zeros(len(moving)), np.zeros(len(moving), dtype=bool)
+    while not held.all():
+        rest = ~held
+        right = -gradient[moving][rest] - normal[np.ix_(rest, held)] @ step[held]
+        step[rest] = np.linalg.lstsq(normal[np.ix_(rest, rest)], right, rcond=None)[0]
+        beyond = rest & ((step < low) | (step > high))
+        if not beyond.any():
+            break
+        # What would go too far stops at its bound, and the others make up for that.
+        step, held = np.clip(step, low, high), held | beyond
     target[columns[moving]] = np.clip(here[moving] + step, 0.0, 1.0)
     return target

@@ -14,7 +14,6 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.axis import ROUNDS, folds_of, near_hypotheses, refitted_sets
 from eps_tunnel_analysis.diagnose.axis_search import (
-    STEPS,
     AxisPart,
     SearchOptions,
     axis_parts,
@@ -24,7 +23,6 @@ from eps_tunnel_analysis.diagnose.axis_search import (
 from eps_tunnel_analysis.diagnose.ball import without_ball
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
-from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, independent, joint, rank
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -35,7 +33,6 @@ from eps_tunnel_analysis.simulated import Play, same_commands
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
-from labyrinth_sim.trials import Array
 
 MOST_CHANGES = 2  # on one axis
 STEP_OF_A_VALUE = 0.3  # of a value: the strength around which changes of it are tried, or
@@ -311,23 +308,6 @@ def _value_as_effect(owner: str, p: Parameter) -> Effect:
     )  # fmt: skip
 
 
-class _Since(Evidence):
-    """Evidence of now, less what the model missed then.
-
-    Args:
-        like: of now.
-        step: s, as `like` was made with.
-        missed: (R,) in the signals' units.
-    """
-
-    def __init__(self, like: Evidence, step: float, missed: Array) -> None:
-        super().__init__(like.model, like.free, like.plays, like.signals, step, like.nthread)
-        self.missed = missed
-
-    def __call__(self, values: Array) -> Array:
-        return super().__call__(values) - self.missed
-
-
 def _search(
     lib: Library, then: Sequence[Play], now: Sequence[Play], part: AxisPart, run: SearchOptions
 ) -> tuple[Search, Refit]:
@@ -358,8 +338,7 @@ def _search(
             if clear.any():
                 old_scale = np.interp(at, before.evidence.time[clear], scale_then[clear])
                 scale[here] = np.hypot(scale[here], old_scale)
-    for level, step in STEPS.items():
-        search.levels[level] = _Since(search.levels[level], step, missed)
+    search.levels = {level: evidence.less(missed) for level, evidence in search.levels.items()}
     search.scale = scale[search.used]
     residuals = search.residuals(search.start[None], "exact")[0]
     return search, Refit((), search.start, residuals, float(np.mean(residuals**2)), 0, True)
