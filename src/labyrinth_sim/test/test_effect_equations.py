@@ -474,11 +474,11 @@ def test_sensor_lag(model_of: ModelOf, tau: float) -> None:
     assert swinging == pytest.approx(0.1 * (steady + start * np.exp(-TIME / tau)), abs=3e-4)
 
 
-@checks("sensor_quantisation", "angle' = E[q round((angle + noise) / q)]")
-@pytest.mark.parametrize("noise", [0.0, 0.001, 0.009])
-def test_sensor_quantisation(model_of: ModelOf, noise: float) -> None:
+@checks("sensor_quantisation", "angle' = E[q round((angle + noise) / q - c)]")
+@pytest.mark.parametrize(("noise", "cut"), [(0.0, 0.0), (0.001, 0.0), (0.009, 0.0), (0.0, 0.5), (0.004, 0.5)])
+def test_sensor_quantisation(model_of: ModelOf, noise: float, cut: float) -> None:
     tick = 0.02
-    model = model_of("horn").with_effect("sensor_quantisation", "a", {"tick": tick, "noise": noise})
+    model = model_of("horn").with_effect("sensor_quantisation", "a", {"tick": tick, "noise": noise, "cut": cut})
     angle = 0.001 + 0.5 * TIME - 0.05
 
     def mean(value: float) -> float:
@@ -487,7 +487,7 @@ def test_sensor_quantisation(model_of: ModelOf, noise: float) -> None:
         below = [0.5 * (1 + math.erf(((n + 0.5) * tick - value) / noise / math.sqrt(2))) for n in range(-20, 21)]
         return tick * float(np.sum(np.arange(-19, 21) * np.diff(below)))
 
-    expected = [mean(value) for value in angle]
+    expected = [mean(value - cut * tick) for value in angle]
     assert play(model, TIME, a=angle[0], a_speed=0.5)["a"] == pytest.approx(expected, abs=1e-3 * tick)
 
 

@@ -9,20 +9,22 @@ from labyrinth_sim.trials import Array
 
 def measure(values: Values, site: Site, step: float, start: Array) -> Map:
     tick, noise = values["tick"], values["noise"]
-    return Map(lambda angle: dithered(angle, tick, noise))
+    less = (values["cut"] * tick)[:, None]
+    return Map(lambda angle: dithered(angle - less, tick, noise))
 
 
 EFFECT = Effect(
     name="sensor_quantisation",
     title="Sensor quantisation",
-    physics="The sensor knows whole ticks only; a mean of trials takes the steps as softly as the noise before them is "
-    "large.",
-    equation="angle' = E[q round((angle + noise) / q)]",
+    physics="The sensor knows whole ticks only, to which it rounds or cuts the angle; a mean of trials takes the steps "
+    "as softly as the noise before them is large.",
+    equation="angle' = E[q round((angle + noise) / q - c)]",
     parameters=(
         Parameter("tick", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of a 10-bit converter over 300 deg (5.1 mrad)"),
         Parameter(
             "noise", "rad", 0.0, 0.01, None, 0.0006, "none to two ticks of such a converter; 0 is one clean trial"
         ),
+        Parameter("cut", "1", 0.0, 0.5, None, 0.0, "0 where angles are rounded, 0.5 where the fraction is cut off"),
     ),
     stage="measurement",
     mark="One signal takes few values, all multiples of one angle.",
