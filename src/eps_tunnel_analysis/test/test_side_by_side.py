@@ -20,12 +20,15 @@ def test_two_axes_are_searched_at_once() -> None:
     side_by_side(lambda item, run: both.wait(DEADLINE), ["x", "y"], SearchOptions(None, 2))
 
 
+@pytest.mark.parametrize(("wrong", "other"), [("x", "y"), ("y", "x")])
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_an_error_in_one_ends_the_others_at_their_next_rollouts(error: type[BaseException]) -> None:
+def test_an_error_in_one_ends_the_others_at_their_next_rollouts(
+    error: type[BaseException], wrong: str, other: str
+) -> None:
     begun, ended = threading.Event(), []
 
     def search(item: str, run: SearchOptions) -> None:
-        if item == "x":
+        if item == wrong:
             assert begun.wait(DEADLINE)
             raise error
         begun.set()
@@ -40,7 +43,7 @@ def test_an_error_in_one_ends_the_others_at_their_next_rollouts(error: type[Base
 
     with pytest.raises(error):
         side_by_side(search, ["x", "y"], SearchOptions(None, 2))
-    assert ended == ["y"]
+    assert ended == [other]
 
 
 def test_rollouts_of_searches_side_by_side_add_up() -> None:

@@ -3,7 +3,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from threading import Event
 from typing import TypeVar
@@ -36,10 +36,22 @@ def side_by_side(
             run.progress(what, count)
 
     watched = replace(run, progress=progress)
-    with ThreadPoolExecutor(len(items)) as pool:
-        futures = [pool.submit(search, item, watched) for item in items]
+
+    def one(item: Item) -> Answer:
         try:
-            return [future.result() for future in futures]
+            return search(item, watched)
         except BaseException:
             stop.set()
             raise
+
+    with ThreadPoolExecutor(len(items)) as pool:
+        futures = [pool.submit(one, item) for item in items]
+        try:
+            wait(futures)
+        except BaseException:  # Ctrl-C comes here
+            stop.set()
+            raise
+    errors = [error for future in futures if (error := future.exception())]
+    for error in sorted(errors, key=lambda e: isinstance(e, Stopped)):
+        raise error
+    return [future.result() for future in futures]
