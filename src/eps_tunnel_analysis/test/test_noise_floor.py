@@ -154,3 +154,11 @@ def test_a_smooth_signal_has_no_tick() -> None:
     rng = np.random.default_rng(6)
     assert resolution([noisy(np.arange(0, 10, 0.01), rng)]) == 0.0
     assert resolution([np.zeros(100)]) == 0.0
+
+
+def test_the_ticks_of_a_slow_quiet_signal_are_found_and_a_constant_speed_has_none() -> None:
+    time, tick = np.arange(0, 8, 0.002), 0.00153398
+    slow = np.round(0.04 * np.sin(0.8 * time) / tick) * tick  # one tick at a time, at most
+    assert resolution([np.round(slow, 9)] * 3) == pytest.approx(tick, rel=1e-3)
+    assert resolution([0.03 * time]) == 0.0
+    assert resolution([0.5 + np.where(np.arange(1000) % 7 == 0, 1e-16, 0.0)]) == 0.0

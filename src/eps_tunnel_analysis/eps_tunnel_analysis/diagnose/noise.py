@@ -144,14 +144,17 @@ def resolution(trials: Sequence[Array], share: float = 0.2) -> float:
         trials: (n,) samples of each.
         share: of the changes that must agree.
     """
-    changes = np.abs(np.concatenate([np.diff(values) for values in trials]))
-    changes = changes[np.isfinite(changes) & (changes > 0)]
+    every = np.abs(np.concatenate([np.diff(values) for values in trials]))
+    changes = every[np.isfinite(every) & (every > 0)]
     if len(changes) < 20:
         return 0.0
     top = float(np.quantile(changes, 0.5))
     small = changes[changes <= 2.0 * top]
-    if np.ptp(small) <= 1e-6 * top or top < 1e-12:
+    if top < 1e-12:
         return 0.0  # what stands still but for the numbers' own rounding has no ticks
+    if np.ptp(small) <= 1e-6 * top:
+        # A slow signal takes one tick now and then; what changes by as much at every sample moves at a constant speed.
+        return top if np.mean(every == 0.0) > share and _whole(changes, top) > WHOLE else 0.0
     counts, edges = np.histogram(small, bins=200)
     peak = int(np.argmax(counts))
     near = changes[(changes >= edges[max(peak - 1, 0)]) & (changes <= edges[min(peak + 2, len(edges) - 1)])]
