@@ -366,7 +366,7 @@ def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     How long steps may be is a matter of what is left: beside what is missing, the base needs no such care.
     """
     best = lowest([base, *refits])
-    if not search.refine_at(best.values):
+    if not (search.levels["fine"].extrapolate and search.refine_at(best.values)):
         return base, list(refits)
     near = [r for r in refits if r.cost < RUNNING * max(best.cost, 1.0)]
     jobs = [(tuple(search.library.find(n) for n in r.effects), r.values) for r in (base, *near)]

@@ -241,7 +241,7 @@ class Search:
         """Halves the steps by which refits are judged until at these values (K,) the answer stands; whether it did."""
         before = self.levels["exact"].shortest, self.levels["fine"].shortest
         levels: tuple[Level, ...] = ("fine", "exact") if self._ticks else ("fine",)
-        for level in levels:
+        for level in (level for level in levels if level == "exact" or self.levels[level].extrapolate):
             here = self.residuals(values[None], level)[0]
             while self.levels[level].shortest > FINEST:
                 finer = self.levels[level].finer()
