@@ -24,7 +24,8 @@ from labyrinth_sim.rig import BALL_SIGNALS, Axis
 from labyrinth_sim.trials import Array
 
 STEPS: Mapping[Level, float] = {"coarse": 0.005, "fine": 0.0025, "exact": 0.00125}
-"""s between the steps of roll-outs: to search, where that errs, and to judge; smooth motion is extrapolated instead"""
+"""s between the steps of roll-outs: to search, and, of what cannot be extrapolated from those, where that errs and to
+judge"""
 BEGUN = 0.25  # s after the start, before which nothing is compared: a roll-out starts where sensors say
 TURN = 0.05  # s over which a change of the command's speed counts as one
 SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
@@ -186,17 +187,13 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
     # The drive's own ticks make the misfit rough wherever stiction lets it rest at any place within one.
     smooth = lib.model.with_values({n: 0.0 for n in lib.model.values() if n.endswith(".feedback_tick")}, "smoothed")
     ball, ticks = part.axes == (BALL,), smooth.values() != lib.model.values()
-    coarse, fine, exact = (
-        partial(Evidence, free=lib.names, plays=seen, signals=part.signals, step=step, nthread=run.nthread,
-                spread=run.spread)
-        for step in STEPS.values()
-    )  # fmt: skip
-    levels: dict[Level, Evidence] = {"coarse": coarse(smooth)}
+    rolled = partial(Evidence, free=lib.names, plays=seen, signals=part.signals, nthread=run.nthread, spread=run.spread)
+    levels: dict[Level, Evidence] = {"coarse": rolled(smooth, step=STEPS["coarse"])}
     # Neither contacts nor ticks let a motion be extrapolated.
-    levels["fine"] = fine(smooth) if ball else coarse(smooth, extrapolate=True)
-    levels["exact"] = exact(lib.model) if ball or ticks else levels["fine"]
+    levels["fine"] = rolled(smooth, step=STEPS["fine" if ball else "coarse"], extrapolate=not ball)
+    levels["exact"] = rolled(lib.model, step=STEPS["exact"]) if ball or ticks else levels["fine"]
     if not ball:
-        levels["own"] = coarse(lib.model, step=float(compiled(lib.model, with_ball=False).mj.opt.timestep))
+        levels["own"] = rolled(lib.model, step=float(compiled(lib.model, with_ball=False).mj.opt.timestep))
     evidence = levels["coarse"]
     torques = {m.signal: axis for axis in lib.model.rig.axes for m in axis.measured if m.quantity == "torque"}
     scale, used = evidence.floor.copy(), evidence.time >= BEGUN
@@ -211,10 +208,10 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
             size = float(np.sqrt(np.mean(values[still] ** 2))) if still.any() else 0.0
             least = max(EFFORT_STEP * float(np.abs(values).max(initial=0.0)), LOAD_STEP * full)
             scale[here] = np.sqrt(scale[here] ** 2 + least**2 + (EFFORT_SHARE * size) ** 2)
-    if part.axes == (BALL,):
+    if ball:
         scale = np.hypot(scale, inexactness(evidence.time))
     count = partial(run.progress, part.title) if run.progress else None
-    difference = BALL_DIFFERENCE if part.axes == (BALL,) else DIFFERENCE
+    difference = BALL_DIFFERENCE if ball else DIFFERENCE
     search = Search(lib, levels, scale, np.flatnonzero(used), count, difference)
     search.see_ticks(search.start)
     return search

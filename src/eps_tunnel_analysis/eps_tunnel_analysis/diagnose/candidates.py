@@ -5,6 +5,7 @@ At its off values an effect changes nothing, bit for bit, so roll-outs of all ca
 and travel in one batch.
 """
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -177,14 +178,12 @@ def starts(candidate: Candidate) -> Array:
     switching = [p for p in declared if p.off is not None]
     strengths = [[*row] for ladder in _ladders(switching) for row in ladder]
     shaping = [p for p in declared if p.off is None]
-    shapes: list[list[float]] = [[]] if len(shaping) <= MOST_CROSSED else _one_by_one(shaping)
-    for p in shaping if len(shaping) <= MOST_CROSSED else ():
-        shapes = [[*row, float(v)] for row in shapes for v in _spread(p)]
+    crossed = len(shaping) <= MOST_CROSSED
+    shapes = itertools.product(*map(_spread, shaping)) if crossed else _one_by_one(shaping)
     rows = []
-    for strength in strengths:
-        for shape in shapes:
-            values = iter(strength), iter(shape)
-            rows.append([next(values[0] if p.off is not None else values[1]) for p in declared])
+    for strength, shape in itertools.product(strengths, shapes):
+        values = iter(strength), iter(shape)
+        rows.append([next(values[0] if p.off is not None else values[1]) for p in declared])
     return np.unique(np.array(rows), axis=0)
 
 

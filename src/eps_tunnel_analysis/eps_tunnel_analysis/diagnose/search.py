@@ -128,7 +128,7 @@ class Search:
         difference: float = DIFFERENCE,
     ) -> None:
         self.library, self.levels, self.used = library, dict(levels), used
-        self._ticks = levels["exact"] is not levels["fine"]
+        self._corrected = levels["exact"] is not levels["fine"]  # by ticks, or by the shorter steps of the ball
         self.evidence = levels["coarse"]
         infos = library.model.parameters()
         self.low = np.array([infos[name].low for name in library.names])
@@ -239,9 +239,9 @@ class Search:
 
     def refine_at(self, values: Array) -> bool:
         """Halves the steps by which refits are judged until at these values (K,) the answer stands; whether it did."""
-        before = self.levels["exact"].shortest, self.levels["fine"].shortest
-        levels: tuple[Level, ...] = ("fine", "exact") if self._ticks else ("fine",)
-        for level in (level for level in levels if level == "exact" or self.levels[level].extrapolate):
+        shorter = False
+        asked: tuple[tuple[Level, bool], ...] = ("fine", self.levels["fine"].extrapolate), ("exact", self._corrected)
+        for level in (level for level, wanted in asked if wanted):
             here = self.residuals(values[None], level)[0]
             while self.levels[level].shortest > FINEST:
                 finer = self.levels[level].finer()
@@ -249,10 +249,10 @@ class Search:
                 self.evaluations += 1
                 if not np.mean((there - here) ** 2) > max(STANDS, SETTINGS.form * np.mean(here**2)):
                     break
-                self.levels[level], here = finer, there
-        if not self._ticks:
+                self.levels[level], here, shorter = finer, there, True
+        if not self._corrected:
             self.levels["exact"] = self.levels["fine"]
-        return before != (self.levels["exact"].shortest, self.levels["fine"].shortest)
+        return shorter
 
     def as_stated(self) -> "Search":
         """The same, moving none of the base values of which the model states what is expected."""
@@ -272,9 +272,8 @@ class Search:
         return [column for column in (self._column[name] for name in names) if not self._idle[column]]
 
     def refit(
-        self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,
-        rough: bool = True,
-    ) -> list[Refit]:  # fmt: skip
+        self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None, rough: bool = True
+    ) -> list[Refit]:
         """Descends jobs side by side, all of them to the end.
 
         Args:
@@ -335,7 +334,7 @@ class Search:
 
     def judged(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
         """Jobs descended at the fine level, corrected at each one's own values by the exact one, and judged by that."""
-        if not self._ticks:
+        if not self._corrected:
             return self.refit(jobs, rounds, "fine")
         if not jobs:
             return []

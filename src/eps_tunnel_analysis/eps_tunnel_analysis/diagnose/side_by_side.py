@@ -52,6 +52,6 @@ def side_by_side(
             stop.set()
             raise
     errors = [error for future in futures if (error := future.exception())]
-    for error in sorted(errors, key=lambda e: isinstance(e, Stopped)):
-        raise error
+    if errors:
+        raise min(errors, key=lambda error: isinstance(error, Stopped))
     return [future.result() for future in futures]

@@ -17,7 +17,7 @@ from labyrinth_sim.trials import Array
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])
 TRUST = 1e-12
-LEAST_DAMPED = 1e-3
+LEAST_DAMPED = 1e-3  # damping of the step whose gain the slopes promise
 LEAST_PROMISE = 10.0  # times the tolerance, for which slopes that led nowhere are taken again, by the simulator
 RESCALED = 10.0  # times by which a finite difference grows or shrinks from round to round, at most
 SMALLEST, LARGEST = 1e-6, 0.05  # finite differences, normalised

@@ -76,8 +76,8 @@ def walk(rig: EmulatedRig, plan: Plan, folder: Path) -> Path:
     facts = [("hidden", hidden_in_words(hidden)), ("seed", str(rig.seed)), ("model", str(added.file))]
     pages = {"gap": played[-2].report, "why": reason.report, "gap afterwards": played[-1].report}
     facts += [(name, str(page)) for name, page in pages.items()]
-    todo = after_comparison(after.comparison, played[-1].bags.real, str(added.file), None)
-    page = loop_report(before.comparison, reason.diagnosis, after.comparison, sentences, facts, todo, folder)
+    next_steps = after_comparison(after.comparison, played[-1].bags.real, str(added.file), None)
+    page = loop_report(before.comparison, reason.diagnosis, after.comparison, sentences, facts, next_steps, folder)
     write_new(folder / "report.html", page)
     return folder / "report.html"
 
