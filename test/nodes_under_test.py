@@ -17,7 +17,7 @@ from rclpy.node import Node
 from eps_tunnel_analysis.nodes.rig_processes import executable
 from eps_tunnel_analysis.processes import Processes
 
-PATIENCE = 180.0  # s; only what hangs takes so long
+PATIENCE = 60.0  # s; only what hangs takes so long
 
 
 def free_port() -> int:

@@ -8,7 +8,7 @@ import pytest
 from fit_cases import FREE, made_by, plays, start, step
 from fit_cases import TRUTH as SLOW
 
-from eps_tunnel_analysis.diagnose.axis import nested_refits, refined, rival_refits, stated_jobs
+from eps_tunnel_analysis.diagnose.axis import nested_refits, next_refits, refined, rival_refits, stated_jobs
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
@@ -303,6 +303,18 @@ def test_steps_are_halved_until_the_answer_stands(recorded: list[Play], share: f
     assert search.refine_at(search.start) is shorter
     assert (search.levels["fine"].shortest < steps) is shorter
     assert search.levels["exact"] is search.levels["fine"]
+
+
+def test_an_effect_of_several_values_is_fitted_from_several_of_its_own(recorded: list[Play]) -> None:
+    part = next(p for p in axis_parts(start(), recorded) if p.name == "x")
+    search = axis_search(start(), recorded, part, SearchOptions(("gravity_load", "stribeck_friction"), 1))
+    fitted: list[Job] = []
+    search.best_of = lambda jobs, rounds: fitted.extend(jobs) or []  # type: ignore[assignment]
+    base = search.refit([((), search.start)], 0)[0]
+    next_refits(search, [base])
+    from_where = {c.name: [tuple(v[search.columns(c)]) for (o,), v in fitted if o is c] for (c,), _ in fitted}
+    assert len(from_where["gravity_load.x"]) == 1
+    assert len(set(from_where["stribeck_friction.x"])) == 3
 
 
 def test_a_set_starts_within_its_bounds_though_what_it_contains_goes_further(recorded: list[Play]) -> None:

@@ -13,7 +13,7 @@ from typing import IO, Any
 
 import pytest
 
-PATIENCE = 180.0  # s; only what hangs takes so long
+PATIENCE = 60.0  # s; only what hangs takes so long
 SOON = 2.0  # s from a signal to the end of a node
 ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("labyrinth_msgs") is not None
 ROS_IN_REAL_TIME = [

@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from labyrinth_msgs.msg import BallState  # noqa: E402
 
 START = "from labyrinth_sim.nodes.sim_node import main; main()"
-PATIENCE = 180.0  # s; only what hangs takes so long
+PATIENCE = 60.0  # s; only what hangs takes so long
 SOON = 2.0  # s from a signal to the end of the node
 pytestmark = pytest.mark.realtime
 

@@ -26,7 +26,8 @@ STATED_KEPT = 3  # how many of them go on with all values free
 REBASED = 1  # refits whose base values are sought anew, each from
 REBASE_STARTS = 2  # starts, its own among them
 NEAR_BEST = 2.0  # times the best's cost; such refits start again from its base values
-POINTS_EACH = 2
+POINTS_EACH = 2  # refits on top of which a set starts, and
+STARTS_EACH = 3  # places in each where an effect of several values starts
 ROUNDS = 6
 PAIR_SHORTLIST = 4
 MOST_EFFECTS = 3  # on one axis
@@ -80,7 +81,8 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
     """The best trial points of each of the `shortlist` most promising sets, to be fitted on top of `points`.
 
     A set starts from every point that leads to it, for the base that fits best without an effect may lie in a valley
-    where the effect does not help.
+    where the effect does not help. An effect of several values starts from several of its own, for the ones that
+    promise most may lie in a wrong valley, too.
     """
     chosen: dict[frozenset[str], list[TrialPoint]] = {}
     for point in tried:
@@ -89,10 +91,11 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
             chosen.setdefault(name, []).append(point)
     jobs: list[Job] = []
     for same in chosen.values():
-        first = [point for i, point in enumerate(same) if point.on not in [other.on for other in same[:i]]]
-        for point in first[:POINTS_EACH]:
-            fitted = tuple(search.library.find(name) for name in points[point.on].effects)
-            jobs.append(((*fitted, point.candidate), point.values))
+        for on in list(dict.fromkeys(point.on for point in same))[:POINTS_EACH]:
+            fitted = tuple(search.library.find(name) for name in points[on].effects)
+            here = [point for point in same if point.on == on]
+            many = STARTS_EACH if len(here[0].candidate.parameters) > 1 else 1
+            jobs += [((*fitted, point.candidate), point.values) for point in here[:many]]
     return jobs
 
 
@@ -372,7 +375,7 @@ def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     jobs = [(tuple(search.library.find(n) for n in r.effects), r.values) for r in (base, *near)]
     again = search.judged(jobs, ROUNDS)
     search.settle_at(again[0])
-    judged = {r.effects: r for r in again[1:]}
+    judged = {old.effects: replace(new, converged=old.converged) for old, new in zip(near, again[1:], strict=True)}
     return again[0], best_by_set([judged.get(r.effects, r) for r in refits])
 
 

@@ -203,8 +203,10 @@ def _deviation(comparison: Comparison, i: int) -> Chart:
     mean, lower, upper = (factor * a[:, i] for a in (real.mean, real.lower, real.upper))
     lines = [Line("simulation − real", factor * sim.mean[:, i] - mean, "sim")]
     if comparison.sim.count > 1:
-        for name, edge in zip(("from", "to"), sim.bounds(comparison.alikeness[0].k_sim), strict=True):
-            lines.append(Line(f"its trials, {name}", factor * edge[:, i] - mean, "sim", width=0.8, dash=True))
+        for name, edge in zip(("lower", "upper"), sim.bounds(comparison.alikeness[0].k_sim), strict=True):
+            lines.append(
+                Line(f"simulation's tunnel, {name} edge", factor * edge[:, i] - mean, "sim", width=0.8, dash=True)
+            )
     name = comparison.signals[i]
     return Chart(
         x=real.time, lines=lines, x_label="time in s", y_label=f"− real mean, {unit}",

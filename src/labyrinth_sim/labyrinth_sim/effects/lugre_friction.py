@@ -55,6 +55,11 @@ EFFECT = Effect(
         "load_friction",
         "direction_friction",
     ),
+    contains=(
+        ("torque", "coulomb_friction", "torque"),
+        ("bend", "coulomb_friction", 1e-4),
+        ("extra", "coulomb_friction", 0.0),
+    ),
     separated_by="Slow triangles of small amplitude: bristles give soft loops that grow with the amplitude, Coulomb "
     "friction holds the axis altogether.",
     touches=("dof_damping",),
