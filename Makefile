@@ -45,8 +45,8 @@ setup: install/.built ## install libraries and ROS 2 into .venv and build the wo
 demo: setup ## find what an emulated rig hides: gap, where, why, add, gap again; EFFECT=NAME hides another, EFFECT=? any
 	@$(RUN) ros2 run eps_tunnel_analysis demo $(if $(EFFECT),--effect '$(EFFECT)') $(DEMO_OPTIONS)
 
-# Two workers, for two cores: conftest.py gives one of them the tests that run against real time.
-WORKERS := -n 2 --dist loadgroup --no-loadscope-reorder
+# Three workers, for two cores: conftest.py gives one of them the tests that run against real time, which mostly wait.
+WORKERS := -n 3 --dist loadgroup --no-loadscope-reorder
 
 test: setup ## run every test; PYTEST='-k tunnel -x' passes options on
 	@$(RUN) python -m pytest $(WORKERS) $(PYTEST)

@@ -66,21 +66,20 @@ def test_a_healthy_ball_is_given_no_name(start: Model, only: Sequence[str]) -> N
     assert set(v.floor) == {"y", "ball"}
 
 
-# The latency is named below, by the commands. Beside others a scale is often undecided: a ball that rolls freely is
-# chaotic, and whether a second effect is named with it hangs on the last bit.
-UNDECIDED = pytest.mark.xfail(reason="first of the set, but undecided against something unknown", strict=False)
-
-
 @pytest.mark.parametrize(
-    ("hidden", "only", "name", "value"),
+    ("hidden", "only", "name", "value", "verdicts"),
     [
-        pytest.param("camera_scale.both=strong", ("camera_scale",), "camera_scale.ball", 1.1, marks=UNDECIDED),
-        ("board_not_level.x=strong", ON_BALL[:2], "board_not_level.x", 0.02),
+        # A ball that rolls freely is chaotic: a scale may stay undecided against something unknown.
+        ("camera_scale.both=strong", ("camera_scale",), "camera_scale.ball", 1.1, ("effect", "undecided")),
+        ("board_not_level.x=strong", ON_BALL[:2], "board_not_level.x", 0.02, ("effect",)),
     ],
 )
-def test_what_is_wrong_with_ball_or_camera_is_named(hidden: str, only: Sequence[str], name: str, value: float) -> None:
+def test_what_is_wrong_with_ball_or_camera_is_named(
+    hidden: str, only: Sequence[str], name: str, value: float, verdicts: Sequence[str]
+) -> None:
     v = diagnosed(hidden, only, seed=52).verdict
-    assert (v.verdict, v.effects) == ("effect", (name,))
+    assert v.verdict in verdicts
+    assert next(iter(v.set)) == name
     assert next(v.values[n] for n in v.values if n.startswith(name)) == pytest.approx(value, rel=0.15)
     assert v.ball[2].held_out < 0.5 * v.ball[1].held_out
 

@@ -4,6 +4,7 @@
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ class Model:
 
     def parameters(self) -> dict[str, ParameterInfo]:
         """Every number by full name: `drive.x.p`, `backlash.x.width`, `joint.motor_x.armature`."""
-        return {info.name: info for info in self._parameters()}
+        return {info.name: info for info in self._parameters}
 
     def size(self, place: str) -> Size:
         """How large the axis is that a place belongs to: an axis, a signal, a joint, a body, or "ball"."""
@@ -121,14 +122,15 @@ class Model:
     def _effort_scales(self) -> Quantities:
         return effort_scales(self.rig, {name: v.value for name, v in self.quantities.items()})
 
-    def _parameters(self) -> Iterator[ParameterInfo]:
-        return (declared.info() for declared in self._declared())
+    @cached_property
+    def _parameters(self) -> tuple[ParameterInfo, ...]:
+        return tuple(declared.info() for declared in self._declared())
 
     def unstated(self) -> tuple[ParameterInfo, ...]:
         """Numbers of drives and effects that the model leaves out and whose default is neither 0 nor off."""
         return tuple(
             info
-            for info in self._parameters()
+            for info in self._parameters
             if info.source == DEFAULT
             and info.name.split(".")[0] not in (*PLAIN, EFFORT)
             and info.default not in (info.off, 0.0)

@@ -160,14 +160,15 @@ def simulate_batch(
     for which in _groups(plan, every_number, n * c, chunk):
         numbers = {name: given[which] for name, given in every_number.items()}
         first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays[which]] for name, v in (initial or {}).items()}
-        first = undone(plan, numbers, first)
+        here = [each.only_acting(numbers) for each in plans]
+        first = undone(here[0], numbers, first)
         alone, shared = _moving_differently(plan, numbers, first, plays[which])
         own = {name: given[alone] for name, given in numbers.items()}
         start, sent = {name: given[alone] for name, given in first.items()}, block[plays[which[alone]]]
-        engines = [Engine(model, each, own, len(alone), step, nthread) for each in plans]
-        rolled = [_roll_out(model, *pair, own, step, sent, start) for pair in zip(plans, engines, strict=True)]
+        engines = [Engine(model, each, own, len(alone), step, nthread) for each in here]
+        rolled = [_roll_out(model, *pair, own, step, sent, start) for pair in zip(here, engines, strict=True)]
         raw = (2.0 * rolled[1] - rolled[0] if extrapolate else rolled[0])[shared]
-        seen = through(measure_filters(model, plan, numbers, step, raw[:, 0]), raw)
+        seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
         for engine in engines:
             out[which[engine.failed[shared]]] = np.nan
