@@ -18,6 +18,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+pytestmark = pytest.mark.realtime
+
 
 class Controlled(Workplace):
     """A simulation, and the forwarder between it and this process, which stands for the controllers' clients."""

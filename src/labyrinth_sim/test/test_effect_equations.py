@@ -167,11 +167,27 @@ def test_dead_band(model_of: ModelOf, drive: str) -> None:
     assert torques(model, errors) == pytest.approx(4.0 * np.array([0.0, 0.0, 0.01, 0.15, 0.0, -0.15]), abs=1e-9)
 
 
-@checks("torque_saturation", "|torque| <= s torque_max")
+@checks("torque_saturation", "|torque| <= s torque_max; of a drive that knows no current, |duty| <= s")
 @pytest.mark.parametrize("drive", sorted(DRIVES))
 def test_torque_saturation(model_of: ModelOf, drive: str) -> None:
     model = model_of("pair", drive).with_effect("torque_saturation", "a", {"share": 0.4})
     assert torques(model, [0.1, 0.2, -0.1, -0.2]) == pytest.approx([0.4, 0.6, -0.4, -0.6], abs=1e-9)
+
+
+@pytest.mark.parametrize("drive", ["torque_pd", "velocity_pid"])
+@pytest.mark.parametrize(("speed", "forwards", "braking"), [(0.0, 0.6, -0.6), (2.0, 0.6, -0.6), (4.0, 0.3, -0.6)])
+def test_a_limited_current_leaves_the_torque_to_back_emf_at_high_speed_only(
+    model_of: ModelOf, drive: str, speed: float, forwards: float, braking: float
+) -> None:
+    model = model_of("horn", drive).with_values({"drive.a.back_emf": 0.2})
+    model = model.with_effect("torque_saturation", "a", {"share": 0.4})
+    for target, expected in ((9.0, forwards), (-9.0, braking)):
+        assert torques(model, [target], 1e-4, a_speed=speed)[0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_limited_duty_leaves_the_torque_to_back_emf_at_any_speed(model_of: ModelOf) -> None:
+    model = model_of("horn", "pwm_servo").with_effect("torque_saturation", "a", {"share": 0.4})
+    assert torques(model, [9.0], 1e-4, a_speed=2.0)[0] == pytest.approx(0.5 * (0.4 * 6.0 - 0.5 * 2.0) / 2.0, abs=1e-9)
 
 
 # Friction: with the drive off nothing else acts, and what the speed loses is the torque over the inertia. MuJoCo takes
