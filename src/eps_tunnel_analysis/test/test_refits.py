@@ -285,8 +285,10 @@ def test_where_the_best_needs_shorter_steps_what_is_near_it_is_judged_anew(
         return True
 
     monkeypatch.setattr(search, "refine_at", refine_at)
-    again, found = refined(search, base, [good, far])
+    again, found = refined(search, base, [replace(good, converged=True), far])
     assert [r.effects for r in found] == [good.effects, far.effects]
+    assert found[0].converged  # which says that no set within it fits better, and not how its last descent ended
+    assert not refined(search, base, [replace(good, converged=False), far])[1][0].converged
     assert found[1] is far
     for new in (again, found[0]):
         there = shorter(new.values[None])[0, search.used] / search.scale
