@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a model to a compiled MuJoCo model and the places its effects act on."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -56,10 +56,6 @@ class Plan:
     def acting(self, values: Values) -> list[Placed]:
         """The effects that change anything in some simulation; without the others every bit is the same."""
         return [placed for placed in self.effects if placed.acts(values).any()]
-
-    def only_acting(self, values: Values) -> "Plan":
-        """The same without the effects that change nothing in any simulation."""
-        return replace(self, effects=tuple(self.acting(values)))
 
 
 def compiled(model: Model, with_ball: bool, timestep: float | None = None) -> Plan:

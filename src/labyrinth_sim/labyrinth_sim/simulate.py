@@ -2,7 +2,7 @@
 """Roll-outs: parameter sets times commands, all at once."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -160,7 +160,8 @@ def simulate_batch(
     for which in _groups(plan, every_number, n * c, chunk):
         numbers = {name: given[which] for name, given in every_number.items()}
         first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays[which]] for name, v in (initial or {}).items()}
-        here = [each.only_acting(numbers) for each in plans]
+        acting = tuple(plan.acting(numbers))  # at the same places whatever the step
+        here = [replace(each, effects=acting) for each in plans]
         first = undone(here[0], numbers, first)
         alone, shared = _moving_differently(plan, numbers, first, plays[which])
         own = {name: given[alone] for name, given in numbers.items()}
