@@ -28,6 +28,9 @@ LADDER = 7  # strengths tried before the one that shows as it should
 SECANTS = 2
 SETTLED = 0.25  # s from a trial's start that do not count: a model starts where the sensors say
 REPLICAS = 4  # trials from which the noise floor is taken
+TOLERANCE = (
+    5e-4  # share of a motion's root mean square that does not matter; part of the floor, as docs/diagnosis.md says
+)
 
 
 @dataclass(frozen=True)
@@ -213,7 +216,7 @@ def _possible(rng: np.random.Generator, rig: Rig, kind: str) -> Iterator[tuple[F
 
 
 def _floors(rig: Rig, plan: Plan, trials: int, seed: int) -> dict[str, float]:
-    """Noise floor of the mean of the trials, of every position."""
+    """Noise floor of the mean of the trials, of every position, and what of its motion does not matter."""
     runs = record(rig.reality, plan, REPLICAS, seed * 10 + 9)
     still = clean(rig.reality, plan)
     times = np.arange(len(next(iter(still.values())))) / plan.rate
@@ -225,7 +228,8 @@ def _floors(rig: Rig, plan: Plan, trials: int, seed: int) -> dict[str, float]:
             varies = float(np.mean(np.var(on_grid, axis=0, ddof=1)))
             # Of the ticks' error that part remains in a mean which noise does not spread (Widrow and Kollar 2008).
             stays = sensor.tick**2 / 12 * float(np.exp(-((2 * np.pi * sensor.noise / sensor.tick) ** 2)))
-            found[name] = float(np.sqrt(max(varies, stays) / trials + stays * (1 - 1 / trials)))
+            allowed = TOLERANCE * float(np.std(still[name][int(SETTLED * plan.rate) :]))
+            found[name] = float(np.sqrt(max(varies, stays) / trials + stays * (1 - 1 / trials) + allowed**2))
     return found
 
 

@@ -185,7 +185,8 @@ def _rate(rig: Rig, r: Reality, a: int, place: str, s: float, u: Array) -> Reali
 
 
 def _profile(rig: Rig, r: Reality, a: int, place: str, s: float, u: Array) -> Reality:
-    return r.with_axis(a, rate=_speed(rig, a) * (0.3 + 2.0 * u[0]), rate_acceleration=_speed(rig, a) / s)
+    """The rate is beyond what the axis reaches: what shows is the acceleration, of which the strength is a share."""
+    return r.with_axis(a, rate=_speed(rig, a) * (3.0 + 3.0 * u[0]), rate_acceleration=_speed(rig, a) / s)
 
 
 def _cut_back(rig: Rig, r: Reality, a: int, place: str, s: float, u: Array) -> Reality:

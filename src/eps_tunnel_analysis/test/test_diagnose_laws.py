@@ -16,7 +16,7 @@ from small_recordings import write_rig
 
 from eps_tunnel_analysis.diagnose import rank as rank_module
 from eps_tunnel_analysis.diagnose.axes import axis_verdict
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, inexact_share
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, joined
 from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.candidates import library, starts
@@ -263,7 +263,7 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
         least = max(s.material, s.share * (base - 1.0))
         costs = np.array([[least + 1.0, 1.0]])
         sets = [hypothesis(effects, np.ones(8)) for effects in (("a.x",), ("a.x", "b.x"))]
-        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base]), True)
+        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), True)
         assert needed == pytest.approx(np.array([[1.0, 0.5]]))
     assert rank_module._curve_room(101.0, 1.0) == pytest.approx(max(s.material, 100.0 * s.curve))
     assert smallest_set({"a": s.coverage, "b": 1.0 - s.coverage}, s.coverage) == ("a",)
@@ -272,9 +272,42 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
 def test_an_effect_that_takes_away_none_of_what_is_left_is_no_rival_of_one_that_does() -> None:
     sets = [hypothesis((name,), np.ones(8)) for name in ("a.x", "b.x", "c.x")]
     left = np.array([[1.1, 2.1, 2.2]])
-    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([2.1]), True)
+    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), True)
     assert needed[0, 0] > 0.95 and needed[0, 1:].max() < 1e-6
-    assert rank_module._needed(sets, np.array([2.1]), left, np.array([2.1]), False).min() == 1.0
+    assert rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), False).min() == 1.0
+
+
+def test_what_an_effect_of_one_form_leaves_is_something_else() -> None:
+    """A hundredth of the misfit may be the form of friction; a delay has one form, so there it is a second effect."""
+    unit = smooth_noise(SAMPLES, 0, 5)
+    folds = np.arange(SAMPLES) * FOLDS // SAMPLES
+
+    def said(inexact: float) -> dict[str, float]:
+        left = {("a.x",): (4.0, inexact), ("a.x", "b.x"): (1.0, 0.02)}
+        sets = [replace(hypothesis(e, np.sqrt(cost) * unit), inexact=share) for e, (cost, share) in left.items()]
+        base = hypothesis((), np.sqrt(200.0) * unit)
+        return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), 10).probabilities
+
+    assert said(0.0)["a.x + b.x"] > 0.9
+    assert said(1.0)["a.x + b.x"] < 0.4
+
+
+def test_the_form_of_an_effect_counts_for_what_that_effect_explains() -> None:
+    exact = {"delay.x": True, "tick.x": True, "friction.x": False}
+    found = {name: SimpleNamespace(effect=SimpleNamespace(exact=is_exact)) for name, is_exact in exact.items()}
+    search: Any = SimpleNamespace(library=SimpleNamespace(find=found.__getitem__))
+    left = {
+        (): 101.0,
+        ("delay.x",): 41.0,
+        ("friction.x",): 91.0,
+        ("delay.x", "friction.x"): 1.0,
+        ("delay.x", "tick.x"): 2.0,
+    }
+    base, *refits = (Refit(names, np.zeros(1), np.zeros(8), cost, 3, True) for names, cost in left.items())
+    shares = {refit.effects: inexact_share(search, base, refit, refits) for refit in refits}
+    assert shares[("delay.x",)] == shares[("delay.x", "tick.x")] == 0.0
+    assert shares[("friction.x",)] == 1.0
+    assert shares[("delay.x", "friction.x")] == pytest.approx(0.4), "beside the delay it explains 40, alone 10"
 
 
 def test_correlated_residuals_are_worth_fewer_samples() -> None:

@@ -185,6 +185,8 @@ class Effect:
         contains: rows of own parameter, other effect, its parameter or a number: set like that, it does what that one
             does.
         order: position among effects of the same stage, low first.
+        exact: nature has it in one form, as a delay or a tick, so that what it leaves is something else. Of others, as
+            friction, no equation is more than near.
         nameless: a free curve: it says over what variable something is missing and not why. A candidate of no search
             unless asked for.
         touches: MuJoCo model fields that `step` writes; set back to their base before every step.
@@ -213,6 +215,7 @@ class Effect:
     couples: bool = False
     contains: tuple[tuple[str, str, str | float], ...] = ()
     order: int = 0
+    exact: bool = False
     nameless: bool = False
     touches: tuple[str, ...] = ()
     command: "Callable[[Values, Site, float, Array], Filter | None] | None" = None

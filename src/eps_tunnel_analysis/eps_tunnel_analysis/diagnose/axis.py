@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
-from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, rank, worst_floors
+from eps_tunnel_analysis.diagnose.rank import UNREPEATED, Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Job, Refit, Search, TrialPoint, best_by_set
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -329,7 +329,7 @@ def refitted_sets(
     Args:
         healthy: floors of the worst signal that count as nothing missing.
         level: floors that the base left before effects were added in earlier steps.
-        floor: whether trials tell what the rig repeats; if not, one effect at a time is tried.
+        floor: whether trials tell what the rig repeats; if not, more than one effect is tried where much is left.
         most: effects in a set.
 
     Returns:
@@ -344,15 +344,12 @@ def refitted_sets(
         refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
         base, refits = refined(search, base, refits)
         best = lowest([base, *refits])
-        # Without a floor nothing says when to stop, so one effect at a time is judged.
-        enough = healthy + SETTINGS.form * max(base.cost, level)
         worth = _explains(base, best)
+        enough = partial(_enough, search, base, healthy=healthy, level=level, floor=floor)
         while (
-            floor
-            and worth
-            and 0 < len(best.effects) < most
-            and worst_floors(best.residuals, search.signal) > CLOSE * enough
-        ):
+            worth and 0 < len(best.effects) < most
+            and worst_floors(best.residuals, search.signal) > enough(best, refits)
+        ):  # fmt: skip
             more = next_refits(search, [best, *_runners_up(best, refits)], PAIR_SHORTLIST)
             more += rival_refits(search, lowest(more), [*refits, *more]) if more else []
             refits = best_by_set([*refits, *more])
@@ -383,7 +380,7 @@ def _judged(
     plays: Sequence[Play], part: AxisPart, search: Search, base: Refit, refits: Sequence[Refit], model: Model,
     level: float, floor: bool,
 ) -> AxisDiagnosis:  # fmt: skip
-    hypotheses = near_hypotheses(search, refits)
+    hypotheses = near_hypotheses(search, base, refits)
     alone = hypothesis(search, base)
     differ = [(p, r) for p in plays for r in repeats(p.trials, _positions(model, part)) if r.sentence]
     drifts, uneven = any(r.drift for _, r in differ), any(r.jitter > p.timing for p, r in differ)
@@ -409,12 +406,40 @@ def _uneven(ranking: Ranking) -> Ranking:
     return replace(ranking, ranked=ranked, unknown=ranking.unknown + lost)
 
 
-def near_hypotheses(search: Search, refits: Sequence[Refit]) -> list[Hypothesis]:
+def _enough(
+    search: Search, base: Refit, refit: Refit, refits: Sequence[Refit], healthy: float, level: float, floor: bool
+) -> float:
+    """Floors of the worst signal below which nothing more is sought on top of a refit.
+
+    Where nothing tells what the rig repeats, only what lies far beyond the sensors' noise says that it is not all.
+    """
+    inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
+    return (CLOSE if floor else UNREPEATED) * (healthy + SETTINGS.form * max(inexact * base.cost, level))
+
+
+def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:
+    """Share of the base's misfit that a refit's effects of inexact form explain: alone, or beside the exact ones."""
+    exact = frozenset(name for name in refit.effects if search.library.find(name).effect.exact)
+    if not exact:
+        return 1.0
+
+    def left(part: Collection[str]) -> float:
+        return min([base.cost, *(r.cost for r in refits if r.effects and set(r.effects) <= set(part))])
+
+    explained = max(base.cost - left(set(refit.effects) - exact), left(exact) - refit.cost)
+    return float(np.clip(explained / max(base.cost - 1.0, 1e-12), 0.0, 1.0))
+
+
+def near_hypotheses(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Hypothesis]:
     """Those of the refits that are ranked: the best, and what comes near it."""
     near = sorted(refits, key=lambda r: r.cost)
     near = [r for i, r in enumerate(near) if i < 4 or r.cost < RUNNING * max(near[0].cost, 1.0)][:10]
     return [
-        hypothesis(search, r, [o for o in near if o is not r and _contained(search, r, o) is not None]) for r in near
+        replace(
+            hypothesis(search, r, [o for o in near if o is not r and _contained(search, r, o) is not None]),
+            inexact=inexact_share(search, base, r, refits),
+        )
+        for r in near
     ]
 
 

@@ -41,12 +41,14 @@ class Hypothesis:
         left_out: (R,) residuals of each sample by values fitted to the other stretches, in units of the noise floor.
         contains: sets of effects that it can be set to do the same as, beside those that it has all of.
         strain: how far its values are from what is stated, as a sum of squares in units of what is expected of each.
+        inexact: share of the base's misfit that those of its effects explain that nature has in several forms.
     """
 
     refit: Refit
     left_out: Array
     contains: tuple[frozenset[str], ...] = ()
     strain: float = 0.0
+    inexact: float = 1.0
 
     @property
     def cost(self) -> float:
@@ -314,7 +316,9 @@ def _probabilities(
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # What fits as well with fewer values is the likelier for it (Schwarz 1978).
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
-    scores += np.log(np.maximum(_needed(hypotheses, base, left, before, floor), 1e-300))
+    beyond_noise = np.maximum(before - 1.0, 0.0)
+    kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
+    scores += np.log(np.maximum(_needed(hypotheses, base, left, beyond_noise, kept, floor), 1e-300))
     # A value far from what is stated is evidence as a misfit is.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
     alone = -0.5 * worth * _surprise(costs[:, 0] / known) - 0.5 * bare.strain
@@ -329,8 +333,8 @@ def _probabilities(
     gain = np.log(np.maximum(base, 1e-12) / np.maximum(np.minimum(best, curve), 1e-12)) - 2.0 * SETTINGS.width
     allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
-    room = SETTINGS.healthy + SETTINGS.form * np.maximum(before - 1.0, 0.0)
-    beyond = _soft(np.log(np.maximum(left, 1e-12) / room[:, None]))
+    formed = np.maximum(kept * np.maximum(base - 1.0, 0.0)[:, None], np.maximum(level - 1.0, 0.0))
+    beyond = _soft(np.log(np.maximum(left, 1e-12) / (SETTINGS.healthy + SETTINGS.form * formed)))
     excess = (left - curve[:, None]) / _curve_room(before, curve)[:, None]
     formless = _soft(np.log(np.maximum(excess, 1e-12)))
     explained = (1.0 - beyond) * (1.0 - formless)
@@ -343,21 +347,28 @@ def _surprise(cost: Array) -> Array:
     return np.where(cost < 1.0, cost, 1.0 + np.log(np.maximum(cost, 1.0)))
 
 
-def _needed(hypotheses: Sequence[Hypothesis], base: Array, costs: Array, before: Array, floor: bool) -> Array:
-    """(d, h) how far each hypothesis explains materially more than the best of those that it contains, or the base.
+def _needed(
+    hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, floor: bool
+) -> Array:
+    """(d, h) how far each hypothesis explains materially more than each of those that it contains, or the base.
 
     Where a floor says what is missing, an effect that takes away none of it is as good as something unknown, and many
     such must not outweigh the one that does. Without a floor one effect is weighed against another.
+
+    Args:
+        misfit: (d,) floors beyond the noise.
+        kept: (h,) share of them by which the form of each hypothesis counts.
     """
-    least = np.maximum(SETTINGS.material, SETTINGS.share * np.maximum(before - 1.0, 0.0))
     found = np.ones_like(costs)
     sets = [frozenset(h.refit.effects) for h in hypotheses]
     for i, h in enumerate(hypotheses):
         smaller = [j for j, other in enumerate(sets) if other < sets[i] or other in h.contains]
         if not smaller and len(sets[i]) < 2 and not floor:
             continue
-        simpler = costs[:, smaller].min(axis=1) if smaller else base
-        found[:, i] = _soft(np.log(np.maximum(simpler - costs[:, i], 1e-12) / least))
+        simpler = [(costs[:, j], kept[j]) for j in smaller] or [(base, 1.0)]
+        for cost, share in simpler:
+            least = np.maximum(SETTINGS.material, SETTINGS.share * share * misfit)
+            found[:, i] = np.minimum(found[:, i], _soft(np.log(np.maximum(cost - costs[:, i], 1e-12) / least)))
     return found
 
 

@@ -26,6 +26,8 @@ class DiagnosisSettings:
     form: share of the base's misfit that the right effect may leave, for nobody's form of it is exact. Measured on
         tuning rigs: right forms leave up to 4 %, wrong ones 8 % and more.
     material: floors that an effect must explain, at least, to be told. Chosen: a third of what is visible.
+    exact: the part of `form` and `share` that is kept for effects that nature has in one form. Chosen: what steps and
+        stamps leave of a delay.
     share: of the base's misfit that one more effect must explain. Chosen as `form`, for less may be the first's form.
     curve: share of what a free curve explains that the named effect may miss. Measured as `form`, with room for what a
         curve fits besides.
@@ -45,6 +47,7 @@ class DiagnosisSettings:
     correlated: float = 20.0
     healthy: float = 1.6
     form: float = 0.05
+    exact: float = 0.1
     material: float = 0.5
     share: float = 0.03
     curve: float = 0.1

@@ -366,7 +366,7 @@ def _axis_changes(
     share = PAIRED if all(_as_then(play, then) is not None for play in now) else 1.0
     base, refits = refitted_sets(search, base, share**2 * SETTINGS.healthy, most=MOST_CHANGES)
     folds = folds_of(search)
-    hypotheses = near_hypotheses(search, refits)
+    hypotheses = near_hypotheses(search, base, refits)
     tried = len(search.library.candidates)
     alone = Hypothesis(base, base.residuals)
     named = rank(alone, hypotheses, folds, search.blocks, tried).probabilities

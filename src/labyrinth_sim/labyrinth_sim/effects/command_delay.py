@@ -34,5 +34,6 @@ EFFECT = Effect(
     ),
     separated_by="Compare encoder and potentiometer: a late sensor is late alone, a late command makes both late.",
     order=30,
+    exact=True,
     command=command,
 )

@@ -37,5 +37,6 @@ EFFECT = Effect(
     "stick-slip "
     "does not.",
     order=20,
+    exact=True,
     command=command,
 )

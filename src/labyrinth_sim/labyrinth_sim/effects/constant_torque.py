@@ -30,5 +30,6 @@ EFFECT = Effect(
     ),
     separated_by="Hold targets over the whole range and look at the effort: gravity's changes with the angle, this one "
     "does not, and a sensor's bias needs none.",
+    exact=True,
     fields=fields,
 )

@@ -27,5 +27,6 @@ EFFECT = Effect(
     separated_by="Compare encoder and potentiometer: a wrong sensor scale is seen in one of them, a gain error "
     "in both.",
     order=40,
+    exact=True,
     command=command,
 )

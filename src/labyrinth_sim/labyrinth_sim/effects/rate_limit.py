@@ -43,5 +43,6 @@ EFFECT = Effect(
     ),
     separated_by="Steps of several sizes: a rate limit gives the same slope for all, saturation the same acceleration.",
     order=10,
+    exact=True,
     command=command,
 )

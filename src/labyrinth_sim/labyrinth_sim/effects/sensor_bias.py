@@ -35,5 +35,6 @@ EFFECT = Effect(
     separated_by="Compare the sensors of one axis: a bias moves one of them, a load or a wrong command moves both.",
     where="signal",
     order=30,
+    exact=True,
     measure=measure,
 )

@@ -24,5 +24,6 @@ EFFECT = Effect(
     separated_by="Compare the sensors of one axis: a late command makes both late, a late sensor only one.",
     where="signal",
     order=10,
+    exact=True,
     measure=measure,
 )

@@ -25,5 +25,6 @@ EFFECT = Effect(
     separated_by="Compare the sensors of one axis: a wrong sensor scale is seen in one of them, a gain error in both.",
     where="signal",
     order=20,
+    exact=True,
     measure=measure,
 )

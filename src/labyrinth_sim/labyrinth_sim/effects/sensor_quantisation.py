@@ -34,5 +34,6 @@ EFFECT = Effect(
     "does not.",
     where="signal",
     order=40,
+    exact=True,
     measure=measure,
 )
