@@ -158,8 +158,8 @@ def test_uneven_timing_that_is_known_of_a_rig_is_told_and_not_held_against_it(tm
 
 
 def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:
-    rig = OfflineRig("direction_friction.x=weak")
-    ending = ended(rig, tmp_path, ("direction_friction", "constant_torque", "gravity_load"), most_steps=0)
+    rig = OfflineRig("sensor_lag.x=weak")
+    ending = ended(rig, tmp_path, ("sensor_lag", "sensor_delay"), most_steps=0)
     first, *between, last = rig.told
     assert (first, last) == ("undecided", "effect"), "choose rivals that only the short sequence does not tell apart"
     assert set(between) <= {"undecided"}
@@ -171,7 +171,7 @@ def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_pa
     assert "to decide" in notebook(tmp_path)
     again = json.loads((tmp_path / f"diagnosis_{len(rig.told)}" / "diagnosis.json").read_text())
     assert len(again["sources"]) == len(rig.told)
-    assert again["effects"] == ["direction_friction.x"]
+    assert again["effects"] == ["sensor_lag.motor_x"]
     assert ending.verdict == "step limit"
 
 

@@ -8,6 +8,7 @@ import pytest
 from fit_cases import FREE, made_by, plays, start, step
 from fit_cases import TRUTH as SLOW
 
+from eps_tunnel_analysis.diagnose import evidence as evidence_module
 from eps_tunnel_analysis.diagnose.axis import nested_refits, next_refits, refined, rival_refits, stated_jobs
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley
@@ -305,6 +306,25 @@ def test_steps_are_halved_until_the_answer_stands(recorded: list[Play], share: f
     assert search.refine_at(search.start) is shorter
     assert (search.levels["fine"].shortest < steps) is shorter
     assert search.levels["exact"] is search.levels["fine"]
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_steps_are_halved_where_what_they_get_wrong_adds_to_what_is_left(recorded: list[Play], alike: bool) -> None:
+    """A tenth of the floor changes the floors that are left by a quarter of one, if it looks like what is left."""
+    search = part_search(start().with_values(TRUTH), recorded)
+    exact = search.levels["exact"]
+    there = exact(search.start[None])[0]
+    wrong = exact.finer()(search.start[None])[0] - there
+    search.scale = search.scale * float(np.sqrt(np.mean((wrong[search.used] / search.scale) ** 2))) / 0.1
+    signs = 1.0 if alike else np.where(np.random.default_rng(1).random(len(wrong)) < 0.5, -1.0, 1.0)
+    left = -15.0 * signs * wrong  # two floors and a quarter
+    search.levels = {level: e.less(there - left) for level, e in search.levels.items()}
+    assert search.refine_at(search.start) is alike
+
+
+@pytest.mark.parametrize(("width", "steps"), [(0.01, 2), (0.0100006, 2), (0.0104, 2), (0.0107, 3), (0.004, 1)])
+def test_jitter_of_the_stamps_does_not_shorten_the_steps(width: float, steps: int) -> None:
+    assert evidence_module._even(width, 0.005) == pytest.approx(width / steps)
 
 
 def test_an_effect_of_several_values_is_fitted_from_several_of_its_own(recorded: list[Play]) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values that a model states and a diagnosis takes for known: which, if wrong, would explain what no effect does.
 
-A score test tells which are worth a refit: how much of what is left goes away along each value's slope, beyond what
-the base values take away.
+A score test tells which are worth a refit: how much of what is left goes away along each value's slope, or at twice and
+half of it, beyond what the base values take away.
 """
 
 from collections.abc import Sequence
@@ -85,7 +85,10 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
 def _promising(
     model: Model, plays: Sequence[Play], axis: AxisDiagnosis, part: AxisPart, held: Sequence[str], run: SearchOptions
 ) -> list[tuple[str, float]]:
-    """Names, and the value that is best to first order; the most promising first."""
+    """Names, and the value that is best to first order or of twice and half the given one; the most promising first.
+
+    Of a limit the slope says little: where it acts, it may act all the time.
+    """
     search = axis_search(model, plays, _with(part, held), replace(run, only=(), progress=None))
     size = len(part.base)
     values = np.clip(search.start, search.low, search.high)  # a mass of 0 is stated as the smallest
@@ -106,7 +109,17 @@ def _promising(
         # Of a parabola's fall that part which the bounds allow.
         went = (value - values[column]) / (wanted - values[column])
         gains.append(((2.0 - went) * went * towards**2 / along / float(left @ left), name, value))
-    return [(name, value) for share, name, value in sorted(gains, reverse=True) if share > PROMISING]
+    rest = float(np.sum((left - basis @ (basis.T @ left)) ** 2))
+    for factor in (2.0, 0.5):
+        for column, name in enumerate(held, size):
+            point = values.copy()
+            point[column] = np.clip(factor * values[column], search.low[column], search.high[column])
+            answer = search.residuals(point[None])[0]
+            if np.isfinite(answer).all():
+                beyond = float(np.sum((answer - basis @ (basis.T @ answer)) ** 2))
+                gains.append((1.0 - beyond / rest, name, float(point[column])))
+    best = {name: (share, name, value) for share, name, value in sorted(gains)}
+    return [(name, value) for share, name, value in sorted(best.values(), reverse=True) if share > PROMISING]
 
 
 def _with(part: AxisPart, held: Sequence[str]) -> AxisPart:

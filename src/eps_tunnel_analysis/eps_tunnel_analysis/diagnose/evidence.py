@@ -25,6 +25,7 @@ from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
+LONGER = 0.05  # share by which a step may be longer than asked for
 NARROWEST = 0.005  # s, of a bin; what a rig does faster than that is gathered in one
 
 
@@ -239,5 +240,8 @@ class Evidence:
 
 
 def _even(width: float, step: float) -> float:
-    """s: the longest step, `step` at most, of which a bin is a whole number."""
-    return width / max(1, int(np.ceil(width / step - 1e-6)))
+    """s: the longest step, hardly more than `step`, of which a bin is a whole number.
+
+    Bins are as wide as stamps are apart, and jitter alone must not halve the step.
+    """
+    return width / max(1, int(np.ceil(width / step * (1.0 - LONGER))))

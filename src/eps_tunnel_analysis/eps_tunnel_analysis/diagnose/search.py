@@ -247,12 +247,18 @@ class Search:
                 finer = self.levels[level].finer()
                 there = finer(values[None])[0, self.used] / self.scale
                 self.evaluations += 1
-                if not np.mean((there - here) ** 2) > max(STANDS, SETTINGS.form * np.mean(here**2)):
+                left, changed = self._worst(here), abs(self._worst(there) - self._worst(here))
+                if max(changed, np.mean((there - here) ** 2)) <= max(STANDS, SETTINGS.form * left):
                     break
                 self.levels[level], here, shorter = finer, there, True
         if not self._corrected:
             self.levels["exact"] = self.levels["fine"]
         return shorter
+
+    def _worst(self, residuals: Array) -> float:
+        """Floors that residuals (R,) leave of the worst signal."""
+        sums = np.bincount(self.signal, residuals**2) / np.maximum(np.bincount(self.signal), 1)
+        return float(sums.max())
 
     def as_stated(self) -> "Search":
         """The same, moving none of the base values of which the model states what is expected."""
