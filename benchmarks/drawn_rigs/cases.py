@@ -28,9 +28,7 @@ LADDER = 7  # strengths tried before the one that shows as it should
 SECANTS = 2
 SETTLED = 0.25  # s from a trial's start that do not count: a model starts where the sensors say
 REPLICAS = 4  # trials from which the noise floor is taken
-TOLERANCE = (
-    5e-4  # share of a motion's root mean square that does not matter; part of the floor, as docs/diagnosis.md says
-)
+TOLERANCE = 5e-4  # share of a motion that does not matter, as docs/diagnosis.md says
 
 
 @dataclass(frozen=True)
