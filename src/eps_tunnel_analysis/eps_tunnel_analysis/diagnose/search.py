@@ -247,8 +247,10 @@ class Search:
                 finer = self.levels[level].finer()
                 there = finer(values[None])[0, self.used] / self.scale
                 self.evaluations += 1
-                left, changed = self._worst(here), abs(self._worst(there) - self._worst(here))
-                if max(changed, np.mean((there - here) ** 2)) <= max(STANDS, SETTINGS.form * left):
+                left, changed = self._worst(here), float(np.mean((there - here) ** 2))
+                if self.levels[level].extrapolate:  # contacts and ticks change what is left by chance
+                    changed = max(changed, abs(self._worst(there) - left))
+                if changed <= max(STANDS, SETTINGS.form * left):
                     break
                 self.levels[level], here, shorter = finer, there, True
         if not self._corrected:
