@@ -88,7 +88,7 @@ clean: ## remove what setup made; recordings and reports in out/ stay
 	@if [ ! -x .venv/bin/python ]; then $(PYTHON) -m venv $(VENV_OPTIONS) .venv; fi
 	@touch .venv/COLCON_IGNORE
 	@env -u LD_LIBRARY_PATH -u PYTHONPATH -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
-	    .venv/bin/python -m pip install --no-input --require-hashes $(addprefix -r ,$(LOCKS)) 2>&1 \
+	    .venv/bin/python -m pip install --no-input --no-deps --require-hashes $(addprefix -r ,$(LOCKS)) 2>&1 \
 	    | awk '/^Collecting / && ++n % 25 == 0 {print "  " n " of them are here"} \
 	           /^Installing collected/ {print "  installing them"} /^ERROR/ {print} {fflush()}'
 	@touch $@
