@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a study's records say: strict rates with their intervals. A case is right or it is not; nothing counts half.
 
-A record is one case: `kind`, `truth`, `visibility`, and what was said of it: `verdict`, `effects`, `stated`, `set`,
-and `leaves`, what the model leaves with its values refitted, root mean square over the floor.
+A record is one case: `kind`, `truth`, `as_true` (hypotheses that are as true), `visibility`, and what was said of it:
+`verdict`, `effects`, `stated`, `set`, and `leaves`, what the model leaves with its values refitted, root mean square
+over the floor.
 """
 
 import itertools
@@ -41,7 +42,8 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
     healthy = [r for r in records if r["kind"] == "healthy"]
     shows = [r for r in visible if r["leaves"] > VISIBLE]  # what the drive's values take up no recording can show
     foreign = [r for r in records if r["kind"] in ("outside", "left_out") and r["visibility"] > VISIBLE]
-    pairs = [r for r in records if r["kind"] == "pair"]
+    every_pair = [r for r in records if r["kind"] == "pair"]
+    pairs = [r for r in every_pair if r["visibility"] > VISIBLE]  # of the one that shows less
     sure = [r for r in records if likeliest(r)[1] > SURE]
     alarms = rate(healthy, is_false_alarm)
     return {
@@ -59,6 +61,8 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
         "unknown_found_outside": rate([r for r in foreign if r["kind"] == "outside"], is_right),
         "unknown_found_left_out": rate([r for r in foreign if r["kind"] == "left_out"], is_right),
         "pair_both": rate(pairs, is_right),
+        "pair_undecided": rate(pairs, is_undecided),
+        "pair_both_of_all": rate(every_pair, is_right),
         "calibration_error": calibration(records),
         "stated_above_95_wrong": rate(sure, lambda r: not is_true(r, likeliest(r)[0])),
         "log_score": mean([log_score(r) for r in records if r["set"]]),
@@ -80,12 +84,12 @@ def flat(found: dict[str, Figure]) -> dict[str, Any]:
 def is_right(r: Record) -> bool:
     """Whether the verdict is the truth, all of it and nothing more."""
     said = {"complete": "none", "unknown": "unknown", "effect": " + ".join(sorted(r["effects"]))}
-    return said.get(r["verdict"]) == r["truth"]
+    return said.get(r["verdict"]) in _truths(r)
 
 
 def is_undecided(r: Record) -> bool:
     """Whether the verdict leaves it open, with the truth in the stated set."""
-    return r["verdict"] == "undecided" and r["truth"] in [_sorted(name) for name in r["stated"]]
+    return r["verdict"] == "undecided" and bool(_truths(r) & {_sorted(name) for name in r["stated"]})
 
 
 def is_wrong(r: Record) -> bool:
@@ -106,7 +110,11 @@ def likeliest(r: Record) -> tuple[str, float]:
 def is_true(r: Record, hypothesis: str) -> bool:
     """Whether a hypothesis holds: the truth, or "none" of what nobody can see."""
     unseen = r["kind"] != "healthy" and r["visibility"] < INVISIBLE
-    return _sorted(hypothesis) == r["truth"] or (unseen and hypothesis == "none")
+    return _sorted(hypothesis) in _truths(r) or (unseen and hypothesis == "none")
+
+
+def _truths(r: Record) -> set[str]:
+    return {r["truth"], *r.get("as_true", ())}
 
 
 def _sorted(hypothesis: str) -> str:

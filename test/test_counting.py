@@ -56,6 +56,18 @@ def test_both_of_a_pair_and_nothing_else():
         case("pair", "a.x + b.y", "undecided", both, stated=["b.y + a.x", "a.x"]),
     ]
     assert figures(records)["pair_both"].value == pytest.approx(1 / 4)
+    records += [case("pair", "a.x + b.y", "effect", both, effects=["a.x"], visibility=2.0)]  # one of them hardly shows
+    assert figures(records)["pair_both"].n == 4
+    assert figures(records)["pair_both_of_all"].value == pytest.approx(1 / 5)
+
+
+def test_a_form_that_is_two_effects_laws_is_right_under_both_names():
+    """Bristles are what the library calls LuGre friction, and friction all the same."""
+    records = [named("a.x", said, as_true=["b.x"]) for said in ("a.x", "b.x", "c.x")]
+    records += [case("single", "a.x", "undecided", {"c.x": 0.5, "b.x": 0.5}, ["c.x", "b.x"], as_true=["b.x"])]
+    found = figures(records)
+    assert found["visible_right"].value == pytest.approx(2 / 4)
+    assert found["visible_undecided"].value == pytest.approx(1 / 4)
 
 
 def test_a_false_alarm_is_all_that_says_something_is_missing():

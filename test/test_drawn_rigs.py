@@ -176,6 +176,20 @@ def test_what_is_hidden_shows_as_it_was_meant_to(tmp_path):
     assert np.array_equal(column, trials[0].readings["pendulum"])
 
 
+def test_what_other_values_of_the_drive_make_up_for_is_not_visible(tmp_path):
+    """A profile of a high acceleration is a later command and a harder drive; slopes at the true values miss that."""
+    (hidden,) = cases.draw(690001, tmp_path, "pendulum", "single", "motion_profile").hidden
+    assert hidden.first_order > 5.0 > 1.0 > hidden.visibility
+
+
+def test_bristles_that_stand_for_friction_are_right_under_both_names(tmp_path):
+    hidden = cases.Hidden("coulomb_friction", "x", "lugre", 0.1, 9.0, 8.0, 8.0, also=("lugre_friction",))
+    other = cases.Hidden("backlash", "y", "contact", 0.1, 9.0, 8.0, 8.0)
+    case = cases.Case(1, "pair", "labyrinth", "", (hidden, other), None, tmp_path, (), (), 100.0, 1)
+    assert case.truth == "backlash.y + coulomb_friction.x" and case.as_true == ("backlash.y + lugre_friction.x",)
+    assert all(set(form.also) <= set(reading.library_names()) for form in FORMS)
+
+
 def test_left_out_is_what_contains_it_too(tmp_path):
     case = cases.draw(5, tmp_path, "pendulum", "left_out")
     gone = set(reading.library_names()) - set(case.only or ())

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cases: a drawn rig, what is wrong with it and how plainly that shows, what is played, and the files of all that."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path as File
@@ -15,7 +16,7 @@ from drawn_rigs.files import write_bags, write_rig
 from drawn_rigs.physics import Array, DivergedError
 from drawn_rigs.reading import library_names
 from drawn_rigs.reality import Plan, Reality, clean, record
-from drawn_rigs.rigs import LAWS, PLANTS, Rig, draw_rig
+from drawn_rigs.rigs import LAWS, PLANTS, Loose, Rig, draw_rig
 
 COUNTS = {"single": 1, "healthy": 0, "pair": 2, "left_out": 1, "outside": 1}  # of what is wrong
 KINDS = {"single": 0.38, "healthy": 0.2, "pair": 0.12, "left_out": 0.15, "outside": 0.15}
@@ -26,6 +27,9 @@ MESSAGES = 16_000  # in a case's bags; more trials are not drawn
 ENOUGH = 0.5  # of the least visibility; what cannot even show that much is not hidden in that rig
 LADDER = 7  # strengths tried before the one that shows as it should
 SECANTS = 2
+REFITS = 8  # rounds in which other values of the drive make up for what is hidden, as far as they can
+SHORTER = (1.0, 0.5, 0.25, 0.1)  # of a round's step, the first that helps
+FARTHEST = 0.8  # of a value that a refit may move freely, per round
 SETTLED = 0.25  # s from a trial's start that do not count: a model starts where the sensors say
 REPLICAS = 4  # trials from which the noise floor is taken
 TOLERANCE = 5e-4  # share of a motion that does not matter, as docs/diagnosis.md says
@@ -40,6 +44,8 @@ class Hidden:
         strength: in the form's own unit.
         deviation: by how much it moves the positions, root mean square over the floor of the mean of the trials.
         visibility: the same, after all that other values of the drive and the stated ones can make up for.
+        first_order: the same as far as slopes tell; by this the strength was chosen.
+        also: names in the library that are as right, for the form is literally theirs.
         period: rad, of what goes by waves over the angle; 0 for the others.
     """
 
@@ -49,12 +55,19 @@ class Hidden:
     strength: float
     deviation: float
     visibility: float
+    first_order: float
+    also: tuple[str, ...] = ()
     period: float = 0.0
 
     @property
     def name(self) -> str:
         """effect.place, as a verdict names it."""
         return f"{self.effect}.{self.place}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every name that is right, `name` first."""
+        return tuple(f"{effect}.{self.place}" for effect in (self.effect, *self.also))
 
 
 @dataclass(frozen=True)
@@ -93,11 +106,20 @@ class Case:
             return "unknown"
         return " + ".join(sorted(h.name for h in self.hidden)) or "none"
 
+    @property
+    def as_true(self) -> tuple[str, ...]:
+        """Hypotheses that are as true as `truth`, in the same way of writing."""
+        if self.truth in ("none", "unknown"):
+            return ()
+        every = [" + ".join(sorted(names)) for names in itertools.product(*(h.names for h in self.hidden))]
+        return tuple(name for name in every if name != self.truth)
+
     def to_json(self) -> dict[str, Any]:
         """What a record keeps of it."""
         return {
-            "seed": self.seed, "kind": self.kind, "truth": self.truth, "rig": self.rig, "law": self.law,
-            "hidden": [asdict(h) for h in self.hidden], "styles": list(self.styles), "rate": self.rate,
+            "seed": self.seed, "kind": self.kind, "truth": self.truth, "as_true": list(self.as_true),
+            "rig": self.rig, "law": self.law, "hidden": [asdict(h) for h in self.hidden],
+            "styles": list(self.styles), "rate": self.rate,
             "trials": self.trials,
         }  # fmt: skip
 
@@ -147,7 +169,7 @@ def _draw(
         shape = rng.random(5)
         sign = float(rng.choice([-1.0, 1.0])) if form.signed else 1.0
         found = calibrated(rig, plans[0], floors, form, axis, place, wanted, sign, shape)
-        if found.visibility >= ENOUGH * low:  # no motion of this rig shows the others
+        if found.first_order >= ENOUGH * low:  # no motion of this rig shows the others
             reality = form.apply(rig, reality, axis, place, sign * found.strength, shape)
             hidden.append(replace(found, period=_period(reality, form.effect, axis)))
     folder.mkdir(parents=True, exist_ok=True)
@@ -235,10 +257,18 @@ def calibrated(
     rig: Rig, plan: Plan, floors: dict[str, float], form: Form, axis: int, place: str, wanted: float, sign: float,
     shape: Array,
 ) -> Hidden:  # fmt: skip
-    """The strength at which a form shows `wanted` times the floor, as nearly as its range allows."""
+    """The strength at which a form shows `wanted` times the floor to first order, as nearly as its range allows."""
     before = form.before(rig.reality, axis) if form.before else rig.reality
+
+    def hidden(strength: float, seen: tuple[float, float]) -> Hidden:
+        visible = seen[1]
+        if 0.0 < visible < np.inf:
+            changed = form.apply(rig, before, axis, place, sign * strength, shape)
+            visible = _refitted(rig, before, changed, plan, floors, axis, visible)
+        return Hidden(form.effect, place, form.name, strength, seen[0], visible, seen[1], form.also)
+
     healthy = _stacked(clean(before, plan), floors, plan)
-    slopes, low, high = _slopes(rig, before, plan, floors, healthy, axis)
+    slopes, low, high, _ = _slopes(rig, before, plan, floors, healthy, axis)
 
     def shows(strength: float) -> tuple[float, float]:
         try:
@@ -262,46 +292,101 @@ def calibrated(
             break
         below = float(strength), seen
     if above is None or below is None:
-        strength, seen = above or below or (form.low, (0.0, 0.0))
-        return Hidden(form.effect, place, form.name, strength, *seen)
+        return hidden(*(above or below or (form.low, (0.0, 0.0))))
     for _ in range(SECANTS):
         rise = np.log(above[1][1] / max(below[1][1], 1e-9))
         share = np.clip(np.log(wanted / max(below[1][1], 1e-9)) / max(rise, 1e-9), 0.05, 0.95)
         strength = float(below[0] * (above[0] / below[0]) ** share)
         seen = shows(strength)
         below, above = ((strength, seen), above) if seen[1] < wanted else (below, (strength, seen))
-    return Hidden(form.effect, place, form.name, strength, *seen)
+    return hidden(strength, seen)
+
+
+def _refitted(
+    rig: Rig, before: Reality, changed: Reality, plan: Plan, floors: dict[str, float], axis: int, most: float
+) -> float:
+    """What a reality shows beside another one whose loose values are fitted to it, by Gauss-Newton in whole roll-outs.
+
+    Slopes at the true values alone say too much: a drive that a large effect bends far can make up for more of it.
+    """
+    shown, fitted = _stacked(clean(changed, plan), floors, plan), before
+    least, apart = most, _stacked(clean(before, plan), floors, plan) - shown
+    cost = float(apart @ apart)
+    for _ in range(REFITS):
+        slopes, low, high, loose = _slopes(rig, fitted, plan, floors, apart + shown, axis)
+        if not loose:
+            break
+        change = lsq_linear(slopes, -apart, bounds=(np.maximum(low, -1e6), np.minimum(high, 1e6))).x
+        for share in SHORTER:
+            there = _moved(fitted, loose, share * change)
+            try:
+                rest = _stacked(clean(there, plan), floors, plan) - shown
+            except DivergedError:
+                continue
+            if float(rest @ rest) < cost:
+                break
+        else:
+            break
+        gained = cost - float(rest @ rest)
+        fitted, apart, cost = there, rest, float(rest @ rest)
+        least = min(least, _size(apart, floors))
+        if gained < 0.02 * cost:
+            break
+    return least
+
+
+def _moved(reality: Reality, every: Sequence[Loose], change: Array) -> Reality:
+    """A reality with loose values moved by so many of their steps; free ones no further than a round may."""
+    for loose, by in zip(every, change, strict=True):
+        own = _value(reality, loose)
+        away = float(by) * loose.step
+        if not np.isfinite(loose.low) and own:
+            away = float(np.clip(away, -FARTHEST * abs(own), FARTHEST * abs(own)))
+        reality = _with(reality, loose, own + away)
+    return reality
+
+
+def _value(reality: Reality, loose: Loose) -> float:
+    return reality.paths[loose.axis].delay if loose.name == "delay" else reality.physics.of(loose.axis, loose.name)
+
+
+def _with(reality: Reality, loose: Loose, value: float) -> Reality:
+    if loose.name == "delay":
+        return reality.with_path(loose.axis, delay=max(value, 0.0))
+    return reality.with_axis(loose.axis, **{loose.name: value})
 
 
 def _slopes(
     rig: Rig, before: Reality, plan: Plan, floors: dict[str, float], healthy: Array, axis: int
-) -> tuple[Array, Array, Array]:
-    """(N, k) change of the positions with each value that a refit may move, scaled to steps, and its bounds (k,)."""
-    columns, low, high = [], [], []
+) -> tuple[Array, Array, Array, list[Loose]]:
+    """(N, k) change of the positions with each value that a refit may move, scaled to steps, the bounds (k,) of how
+    many steps it may move from here, and which values these are.
+    """
+    columns, low, high, moved = [], [], [], []
     coupled = rig.kind == "two_link_arm"
     for loose in rig.loose:
         if loose.axis != axis and not coupled:
             continue
-        own = before.paths[loose.axis].delay if loose.name == "delay" else before.physics.of(loose.axis, loose.name)
+        true, own = _value(rig.reality, loose), _value(before, loose)
         shift = loose.step
         if loose.name == "delay":
-            bounds = -own, max(rig.reality.paths[loose.axis].delay + loose.high - own, 0.0)
+            bounds = -own, max(true + loose.high - own, 0.0)
             shift = loose.step if bounds[1] > loose.step else -loose.step
-            moved = before.with_path(loose.axis, delay=own + shift)
         else:
-            bounds = loose.low, loose.high
-            moved = before.with_axis(loose.axis, **{loose.name: own + shift})
+            bounds = loose.low + true - own, loose.high + true - own
         if bounds[0] == bounds[1]:
             continue
         try:
-            columns.append((_stacked(clean(moved, plan), floors, plan) - healthy) / shift * loose.step)
+            there = _stacked(clean(_with(before, loose, own + shift), plan), floors, plan)
         except DivergedError:
             continue
+        columns.append((there - healthy) / shift * loose.step)
         low.append(min(bounds[0] / loose.step, -1e-9))
         high.append(max(bounds[1] / loose.step, 1e-9))
+        moved.append(loose)
     if not columns:
-        return np.empty((len(healthy), 0)), np.empty(0), np.empty(0)
-    return np.column_stack(columns), np.array(low), np.array(high)
+        return np.empty((len(healthy), 0)), np.empty(0), np.empty(0), []
+    return np.column_stack(columns), np.array(low), np.array(high), moved
 
 
 def _stacked(readings: dict[str, Array], floors: dict[str, float], plan: Plan) -> Array:

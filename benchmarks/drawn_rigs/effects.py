@@ -32,6 +32,7 @@ class Form:
         sensor: whether its place is a signal instead of an axis.
         outside: whether no effect of the library is of this kind.
         before: the reality against which it is visible; None for the healthy one.
+        also: other names in the library that are right, for it is literally their law.
     """
 
     effect: str
@@ -44,6 +45,7 @@ class Form:
     sensor: bool = False
     outside: bool = False
     before: Callable[[Reality, int], Reality] | None = None
+    also: tuple[str, ...] = ()
 
 
 def _most(rig: Rig, axis: int) -> float:
@@ -376,8 +378,8 @@ def _either(*tests: Callable[[Rig, int], bool]) -> Callable[[Rig, int], bool]:
 FORMS: tuple[Form, ...] = (
     Form("coulomb_friction", "coulomb", 1e-4, 0.4, _coulomb, fits=_dry),
     Form("coulomb_friction", "tanh", 1e-4, 0.4, _tanh, fits=_dry),
-    Form("coulomb_friction", "lugre", 1e-4, 0.4, _lugre, fits=_dry),
-    Form("coulomb_friction", "dahl", 1e-4, 0.4, _dahl, fits=_dry),
+    Form("coulomb_friction", "lugre", 1e-4, 0.4, _lugre, fits=_dry, also=("lugre_friction",)),
+    Form("coulomb_friction", "dahl", 1e-4, 0.4, _dahl, fits=_dry, also=("lugre_friction",)),
     Form("lugre_friction", "lugre", 1e-4, 0.4, _long_bristles(2), fits=_dry),
     Form("lugre_friction", "dahl", 1e-4, 0.4, _long_bristles(3), fits=_dry),
     Form("constant_torque", "constant", 1e-4, 0.4, _pull, signed=True),
