@@ -211,7 +211,8 @@ def main() -> None:
         print(f"[{number}/{len(seeds)}] {record['seed']} {hidden} ({record['visibility']:.1f} x floor) -> "
               f"{record.get('error') or said or 'silent'} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
         if given.json:
-            write(given.json, {**settings, "figures": figures(records), "cases": records})
+            found = figures(records)
+            write(given.json, {**found, **settings, "figures": found, "cases": records})
     for key, value in figures(records).items():
         print(f"{key:30s}{value}")
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the benchmark of proposed laws counts: records made up, figures known; and what it draws."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import law
 from drawn_rigs.cases import draw
 from law import figures
 
@@ -57,3 +59,15 @@ def test_a_case_is_the_same_with_another_command_and_the_effect_can_be_chosen(tm
     assert plain.hidden == fresh.hidden and not plain.fresh and fresh.fresh
     assert all(bag.exists() for bag in fresh.fresh)
     assert draw(325, tmp_path / "c", kind="outside", effect="tight_places").hidden[0].effect == "tight_places"
+
+
+def test_the_file_has_each_key_at_its_top_with_count_and_interval(tmp_path, monkeypatch):
+    records = [case(period=0.3) | {"seed": 100_000, "seconds": 1.0, "proposals": []}]
+    monkeypatch.setattr(law, "judged", lambda seeds, given: iter(records))
+    monkeypatch.setattr(sys, "argv", ["law.py", "--cases", "1", "--seed", "100000", "--json", str(tmp_path / "out.json")])
+    law.main()
+    content = json.loads((tmp_path / "out.json").read_text())
+    for key in ("variable_right", "half_of_true_form", "healthy_silent", "period_error"):
+        assert {key, f"{key}_n", f"{key}_interval"} <= set(content)
+        assert content[key] == content["figures"][key]
+    assert content["variable_right_n"] == 1 and content["seed"] == 100_000
