@@ -131,9 +131,7 @@ def diagnosis_page(reason: Reason, notebook: Notebook) -> list[str]:
     return [
         f"**{v.sentence}**",
         notebook.picture(hypotheses_picture(v), "hypotheses", "probabilities of the hypotheses"),
-        notebook.picture(
-            left_over_picture(d.before, d.after if v.effects else None), "left_over", "simulation minus real"
-        ),
+        notebook.picture(left_over_picture(d), "left_over", "simulation minus real"),
         f"Misfit in units of the noise floor, below which no model goes far: {floors}.",
         "\n".join(f"- {note}" for note in v.notes),
         f"{v.evaluations} roll-outs in {v.seconds:.0f} s, {notebook.link('report', reason.report)}",
@@ -172,6 +170,6 @@ def ending_page(ending: Ending, notebook: Notebook) -> list[str]:
     ]
     diagnosis = ending.last.diagnosis
     if diagnosis.verdict.verdict == "unknown":
-        left = left_over_picture(diagnosis.before, None)
+        left = left_over_picture(diagnosis, alone=True)
         blocks.append(notebook.picture(left, "unknown", "what no known effect explains"))
     return [*blocks, f"The model, running in the simulation: {notebook.link(ending.model.name, ending.model)}"]

@@ -107,13 +107,18 @@ def _bar(share: float) -> float | None:
 
 
 def at_a_glance(
-    comparison: Comparison, step: tuple[str, str], before: Comparison | None = None, words: Sequence[str] = ()
+    comparison: Comparison,
+    step: tuple[str, str],
+    before: Comparison | None = None,
+    words: Sequence[str] = (),
+    after: str = "after",
 ) -> Section:
     """Three numbers, the picture before and after, and what to do next.
 
     Args:
         step: a sentence and the command to run next, "" where there is none.
         before: the model that it was; without it, angle and deviation stand side by side.
+        after: what the compared model is called beside `before`.
     """
     i = (before or comparison).most_off
     signal, unit = comparison.signals[i], shown_unit(comparison.real.units[i])[1]
@@ -123,7 +128,8 @@ def at_a_glance(
             ("relative to the real mean", _deviation(comparison, i)),
         )
     else:
-        both = [(name, _deviation(c, i)) for name, c in ((f"{signal} before", before), (f"{signal} after", comparison))]
+        named = ((f"{signal} before", before), (f"{signal} {after}", comparison))
+        both = [(name, _deviation(c, i)) for name, c in named]
         low, high = (f(f(_extent(chart)) for _, chart in both) for f in (min, max))
         pad = 0.06 * ((high - low) or 1.0)
         same = [(name, replace(chart, y_range=(low - pad, high + pad))) for name, chart in both]

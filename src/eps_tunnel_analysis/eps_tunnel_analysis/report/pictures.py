@@ -154,6 +154,13 @@ def _bars(axes: Axes, verdict: Verdict) -> None:
     axes.grid(visible=False, axis="y")
 
 
+def last_model(verdict: Verdict) -> str:
+    """What the best model of a diagnosis is called in pictures and tables."""
+    if not verdict.effects:
+        return "values refitted"
+    return "with the likeliest" if verdict.verdict == "undecided" else "with what is named"
+
+
 def answer_picture(diagnosis: Diagnosis) -> Figure:
     """What a verdict rests on: the model as given and the best one in the tunnel, and the probabilities."""
     given, after, i = diagnosis.given, diagnosis.after, diagnosis.given.most_off
@@ -164,7 +171,7 @@ def answer_picture(diagnosis: Diagnosis) -> Figure:
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         low, high = (factor * (bound - real.mean)[:, i] for bound in real.bounds())
         left.fill_between(real.time, low, high, color=REAL_COLOUR, alpha=0.25, lw=0, label="real trials")
-        last = "with what is named" if diagnosis.verdict.effects else "values refitted"
+        last = last_model(diagnosis.verdict)
         for c, colour, name in ((given, "#8b95a3", "model as given"), (after, SIM_COLOUR, last)):
             left.plot(real.time, factor * (c.sim_tunnel.mean - real.mean)[:, i], color=colour, lw=1, label=name)
         left.set(xlabel="time in s", ylabel=f"{given.signals[i]} − real mean, {unit}")
@@ -175,9 +182,16 @@ def answer_picture(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def left_over_picture(before: Comparison, after: Comparison | None) -> Figure:
-    """Simulation minus real over the measured angle and over the speed, of the signal that is most beyond its noise."""
+def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
+    """Simulation minus real over the measured angle and over the speed, of the signal that is most beyond its noise.
+
+    Args:
+        alone: only of the refitted values, without the effects.
+    """
+    before, after = diagnosis.before, diagnosis.after
     worst = before.most_off
+    shown = [(before, SIM_COLOUR, "before")]
+    shown += [(after, REAL_COLOUR, last_model(diagnosis.verdict))] if diagnosis.verdict.effects and not alone else []
     factor, unit = shown_unit(before.real.units[worst])
     real = before.real_tunnel.mean[:, worst]
     speed = np.gradient(real, before.real.step)
@@ -185,13 +199,9 @@ def left_over_picture(before: Comparison, after: Comparison | None) -> Figure:
         figure = Figure(figsize=(7.2, 2.8), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         for axes, x, label in zip(panels, (real, speed), (f"angle in {unit}", f"speed in {unit}/s"), strict=True):
-            for comparison, colour, name in (
-                (before, SIM_COLOUR, "before"),
-                (after, REAL_COLOUR, "with what is named"),
-            ):
-                if comparison is not None:
-                    left = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
-                    axes.plot(factor * x, factor * left, ".", ms=2, color=colour, label=name)
+            for comparison, colour, name in shown:
+                left = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
+                axes.plot(factor * x, factor * left, ".", ms=2, color=colour, label=name)
             axes.set_xlabel(label)
         panels[0].set_ylabel(f"simulation − real, {unit}")
         panels[0].set_title(before.signals[worst], loc="left", fontsize=9)

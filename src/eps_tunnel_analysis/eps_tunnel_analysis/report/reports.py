@@ -30,7 +30,7 @@ from eps_tunnel_analysis.report.diagnosis_sections import evidence, ranking, ver
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.next_step import MODEL_FILE, next_commands, next_step
 from eps_tunnel_analysis.report.page import Block, Chart, Line, Points, Section, Table, render
-from eps_tunnel_analysis.report.pictures import write_pictures
+from eps_tunnel_analysis.report.pictures import last_model, write_pictures
 from eps_tunnel_analysis.values.validity import validity_of
 from labyrinth_sim.model import Model, save_model
 
@@ -150,8 +150,9 @@ def diagnosis_report(
         at: the folder in which the page will be found, for links.
     """
     diagnosis, proposal, checked = found.diagnosis, found.proposal, found.checked
+    last = last_model(diagnosis.verdict) if diagnosis.verdict.verdict == "undecided" else "after"
     sections = [
-        at_a_glance(diagnosis.after, step, diagnosis.given),
+        at_a_glance(diagnosis.after, step, diagnosis.given, after=last),
         verdict(diagnosis),
         where_it_fails(diagnosis.before),
         ranking(diagnosis),
