@@ -48,7 +48,7 @@ SIGNALS = ("motor_x", "board_x")
 TRIALS, RATE, STEPS = 5, 100.0, 5
 NOISE, TICK, SPREAD = 3e-4, 0.00153, 2e-4  # rad
 REPEATED, DESIGNED = 0.2, 0.05  # rigs for each case
-QUICK = (3, 1, 1)  # cases, and rigs of the other two
+QUICK = (2, 1, 1)  # cases, and rigs of the other two
 
 
 def drawn(rng: np.random.Generator, missing: bool) -> tuple[dict[str, float], str, Model]:
