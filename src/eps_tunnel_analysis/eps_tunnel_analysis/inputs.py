@@ -20,7 +20,7 @@ from eps_tunnel_analysis.recording import (
     to_plays,
     to_trials,
 )
-from eps_tunnel_analysis.recording.bag import BAG_SUFFIXES
+from eps_tunnel_analysis.recording.bag import BAG_SUFFIXES, ROS2_SUFFIXES
 from eps_tunnel_analysis.recording.channel_map import channel_map, held_by_all, namespace_of
 from eps_tunnel_analysis.recording.trials import MAX_GAP, RATE, PlaysResult
 from eps_tunnel_analysis.simulated import Play, roll_out
@@ -320,7 +320,7 @@ def _is_bag(path: Path) -> bool:
     if path.is_file():
         return path.suffix in BAG_SUFFIXES
     return path.is_dir() and (
-        (path / "metadata.yaml").exists() or any(p.suffix in BAG_SUFFIXES for p in path.iterdir())
+        (path / "metadata.yaml").exists() or any(p.suffix in ROS2_SUFFIXES for p in path.iterdir())
     )
 
 

@@ -17,8 +17,8 @@ MOST_THREADS = 1024
 def add_bag_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """--real and how bags are read; the same for every command that reads them."""
     parser.add_argument("--real", nargs="+", metavar="BAG", required=required, type=Path,
-                        help="recordings of the real rig: rosbag2 folders, .mcap or .db3 files, or folders of those; "
-                        "each bag is a trial, or holds trials marked on NS/trial")  # fmt: skip
+                        help="recordings of the real rig: rosbag2 folders, .mcap, .db3 or .bag files, or folders of "
+                        "those; each bag is a trial, or holds trials marked on NS/trial")  # fmt: skip
     add_reading_arguments(parser)
 
 

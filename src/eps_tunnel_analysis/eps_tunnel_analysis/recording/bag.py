@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bag: the serialised messages of a rosbag2 recording, by topic, as they lie on disk.
+"""Bag: the serialised messages of a recording, by topic, as they lie on disk; those of ROS 1 as ROS 2 would have them.
 
 A folder with metadata.yaml was closed by its recorder and must be whole. A folder without it was never closed (the
 recorder was killed), and so is a lone .mcap file without a footer: those are read up to their last whole chunk.
@@ -26,6 +26,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 
+from eps_tunnel_analysis.recording.ros1 import Ros1File
 from eps_tunnel_analysis.recording.unpack import Allowance, check_file, chunk_records, message_data
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.yaml_file import read_yaml
@@ -43,8 +44,13 @@ MOST_DECLARATIONS = 200_000
 """schemas and channels in a file, those that each chunk repeats included"""
 LATEST = (1 << 63) - 1
 """ns since 1970, the latest stamp that a signed number holds, in the year 2262"""
-BAG_SUFFIXES = (".mcap", ".db3")
-EXPECTED = "a rosbag2 folder (with metadata.yaml) or a single .mcap or .db3 file of ROS 2 messages"
+ROS1_SUFFIX = ".bag"
+ROS2_SUFFIXES = (".mcap", ".db3")
+"""of files of which several in a folder are one recording; each of ROS 1 is one of its own"""
+BAG_SUFFIXES = (*ROS2_SUFFIXES, ROS1_SUFFIX)
+EXPECTED = (
+    "a rosbag2 folder (with metadata.yaml), a single .mcap or .db3 file of ROS 2 messages, or a .bag file of ROS 1"
+)
 
 
 @dataclass
@@ -234,9 +240,10 @@ def _files(path: Path) -> list[Path]:
         if path.suffix not in BAG_SUFFIXES:
             raise InputError(f"{path}: not a bag. Expected {EXPECTED}.")
         return [path]
-    files = sorted(file for file in path.iterdir() if file.suffix in BAG_SUFFIXES)
+    files = sorted(file for file in path.iterdir() if file.suffix in ROS2_SUFFIXES)
     if not files and not (path / "metadata.yaml").exists():
         inside = sorted(file.parent.name for file in path.glob("*/metadata.yaml"))
+        inside += sorted(file.name for file in path.glob(f"*{ROS1_SUFFIX}"))
         hint = f" It holds bags, name them one by one: {', '.join(inside)}." if inside else ""
         raise InputError(f"{path}: no bag in this folder. Expected {EXPECTED}.{hint}")
     return files
@@ -340,6 +347,8 @@ def _damaged(path: Path, reason: object) -> str:
 
 def _lone_file(path: Path, file: Path) -> Bag:
     """A file without metadata.yaml beside it."""
+    if file.suffix == ROS1_SUFFIX:
+        return _ros1(path, file)
     if file.suffix != ".mcap":
         return _closed(path, file)
     size = file.stat().st_size
@@ -351,6 +360,22 @@ def _lone_file(path: Path, file: Path) -> Bag:
         stream.seek(max(len(MAGIC), size - len(MAGIC)))
         closed = stream.read() == MAGIC
     return _closed(path, file) if closed else recovered(path, file)
+
+
+def _ros1(path: Path, file: Path) -> Bag:
+    """A file of ROS 1, which must be whole and have its index."""
+    try:
+        allowance = Allowance.of([file])
+        with Ros1File(file, allowance) as opened:
+            topics = _iterated(opened, allowance)
+    except TwoTypesError as error:
+        raise InputError(f"{path}: {error}.") from error
+    except Exception as error:  # rosbags asserts and raises classes of its own, bz2 and lz4 theirs
+        raise InputError(
+            f"{path}: {file.name} is not a whole ROS 1 bag ({error or type(error).__name__}). Expected {EXPECTED}. "
+            "`rosbag reindex` may mend one whose recorder was killed."
+        ) from error
+    return Bag(path, _merged(path, [topics]), {}, None)
 
 
 def recovered(path: Path, file: Path) -> Bag:

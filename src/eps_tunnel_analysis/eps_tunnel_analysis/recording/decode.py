@@ -403,7 +403,7 @@ def trial_marks(raw: RawTopic, store: Typestore, source: TimeSource, path: Path)
 
 
 def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
-    """One bag: a rosbag2 folder, or a single .mcap or .db3 file; only read, never changed.
+    """One bag: a rosbag2 folder, or a single .mcap, .db3 or .bag file; only read, never changed.
 
     Args:
         path: the bag. One whose recorder was killed is read up to its last whole chunk.
@@ -450,7 +450,7 @@ def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
 def read_all(paths: Sequence[Path | str], time_source: TimeSource = "header") -> list[Recording]:
     """`read` each of several bags. Raises InputError where none is named, else with all complaints at once."""
     if not paths:
-        raise InputError("No bags named; expected at least one rosbag2 folder, .mcap or .db3 file.")
+        raise InputError("No bags named; expected at least one rosbag2 folder, .mcap, .db3 or .bag file.")
     complaints = Complaints()
     recordings = [complaints.attempt(partial(read, path, time_source)) for path in paths]
     complaints.check()
