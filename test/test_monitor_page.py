@@ -26,6 +26,8 @@ from eps_tunnel_analysis.monitor.parts import (
     RigPart,
     RunPart,
     Scene,
+    Staircase,
+    StaircaseStep,
     VerdictPart,
 )
 from eps_tunnel_analysis.monitor.requests import Request, WhatIfRequest
@@ -127,6 +129,21 @@ def test_every_part_reaches_its_panel(shown: Shown) -> None:
     shown.until("document.getElementById('job').textContent.includes('Trial 2 of 3')")
     shown.until("document.getElementById('joint').textContent == '50.0 %'")
     shown.until("document.getElementById('angles').textContent.includes('28.6')")
+
+
+def test_on_a_rig_that_slides_the_page_tells_lengths(shown: Shown) -> None:
+    verdict = VerdictPart("effect", "The model lacks it.", ("backlash.a",), (("backlash.a", 0.97, True),), (), 0.9,
+                          (0.01, 0.008, 0.001), "m", "", "", ())  # fmt: skip
+    shown.state.put(verdict)
+    shown.state.put(Staircase((StaircaseStep("m", "as given", 0.01),)))
+    shown.until("document.getElementById('verdict-more').textContent.includes('0.573 deg as given')")
+    shown.state.put(RigPart("sledge", SIGNALS, 0.5, None, None, "m", dict.fromkeys(SIGNALS, "m")))
+    shown.state.put(Scene(Pose({"motor_x": 0.1}, None), None))
+    shown.until("document.getElementById('verdict-more').textContent.includes('10.000 mm as given')")
+    shown.until("document.getElementById('stairs').textContent.includes('10.000 mm')")
+    shown.until("document.getElementById('angles').textContent.includes('100.0 / – mm')")
+    shown.play(2)
+    shown.until("document.querySelector('#tunnels .name b')?.textContent == 'motor_x, mm'")
 
 
 def test_late_and_lost_samples_beyond_two_percent_are_a_banner(shown: Shown) -> None:
@@ -270,6 +287,9 @@ def test_a_slider_moves_a_value_and_the_simulation_follows(opened: Page, played:
         assert percent(opened.evaluate(joint)) < as_it_is - 5
         assert percent(opened.evaluate("document.getElementById('joint-before').textContent")) == as_it_is
         opened.until("document.getElementById('tunnel-what').textContent.startsWith('Simulated anew')")
+        deadline = time.monotonic() + 10
+        while shown.red() <= red and time.monotonic() < deadline:
+            time.sleep(0.05)  # the trajectories come after the words
         assert shown.red() > red
         for width in (360, 1600):
             opened.look(width, 800, dark=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.error import repeat_spread
-from eps_tunnel_analysis.outputs import shown_number, shown_times, shown_value
+from eps_tunnel_analysis.outputs import shown_number, shown_times, shown_unit, shown_value
 from eps_tunnel_analysis.tunnel import build_tunnel
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array, Trials
@@ -28,6 +28,7 @@ MEANING = {
 }
 
 MOVING = ("moving", "reversal")
+LENGTHS = ("m", "m/s")
 CROSSWISE = dict(zip(BALL_SIGNALS, BALL_SIGNALS[::-1], strict=True))
 UNEVEN = 0.05  # error share beyond the time share from which a phase is told
 STANDS = 1e-9  # SI units; a signal with a smaller range stands still, and its error is taken as it is
@@ -42,7 +43,7 @@ class Phases:
     Attributes:
         phase: (T,) names, keys of MEANING.
         direction: (T,) sign of the latest motion: "up", "down" or "none" before the first.
-        amplitude: (T,) rad, size of the latest motion from turn to turn; 0 before the first.
+        amplitude: (T,) size of the latest motion from turn to turn; 0 before the first.
     """
 
     phase: NDArray[np.str_]
@@ -203,7 +204,8 @@ def where(real: Trials, sim: Trials) -> tuple[Misfit, ...]:
         channel = channel_of(signal, real.command_channels)
         groups: list[tuple[str, NDArray[np.str_]]] = []
         if channel is not None:
-            groups = list(_groupings(labels[channel]))
+            slides = real.units[i] in LENGTHS and signal not in BALL_SIGNALS
+            groups = list(_groupings(labels[channel], "m" if slides else "rad"))
             groups += [("other axes", _others(labels, channel))] if len(labels) > 1 else []
         for kind, names in groups:
             rows += _worst_first(_misfits(signal, real.units[i], kind, names, error))
@@ -254,14 +256,14 @@ def _off(m: Misfit) -> str:
     )
 
 
-def _groupings(label: Phases) -> Iterator[tuple[str, NDArray[np.str_]]]:
+def _groupings(label: Phases, unit: str) -> Iterator[tuple[str, NDArray[np.str_]]]:
     way = np.where(np.isin(label.phase, MOVING), ", ", ", after moving ")
     both = np.char.add(np.char.add(np.char.add(label.phase, way), label.direction), "wards")
     both = np.where(label.direction == "none", np.char.add(label.phase, ", before the first motion"), both)
     yield "phase", label.phase
     yield "direction", label.direction
     yield "phase and direction", both
-    yield "amplitude", _amplitude_names(label.amplitude)
+    yield "amplitude", _amplitude_names(label.amplitude, unit)
 
 
 def _others(labels: Mapping[str, Phases], channel: str) -> NDArray[np.str_]:
@@ -270,19 +272,20 @@ def _others(labels: Mapping[str, Phases], channel: str) -> NDArray[np.str_]:
     return np.where(moving, "another moves", "all others stand still")
 
 
-def _amplitude_names(amplitude: Array) -> NDArray[np.str_]:
-    """Classes of the latest motion's size, named in degrees."""
+def _amplitude_names(amplitude: Array, unit: str) -> NDArray[np.str_]:
+    """Classes of the latest motion's size, which is in `unit`, named as people read it."""
     names = np.full(len(amplitude), "none", dtype=object)
     moved = amplitude > 0
     if moved.any():
-        degrees = np.round(np.degrees(amplitude), 1)
-        sizes = np.unique(degrees[moved])
+        factor, shown = shown_unit(unit)
+        sizes_of = np.round(factor * amplitude, 1)
+        sizes = np.unique(sizes_of[moved])
         if len(sizes) <= MOST_AMPLITUDES:
-            names[moved] = [f"{d:g} deg" for d in degrees[moved]]
+            names[moved] = [f"{size:g} {shown}" for size in sizes_of[moved]]
         else:
             edges = np.linspace(0, sizes[-1], MOST_AMPLITUDES + 1)
-            index = np.clip(np.searchsorted(edges, degrees[moved]) - 1, 0, MOST_AMPLITUDES - 1)
-            names[moved] = [f"{shown_number(edges[i])} to {shown_number(edges[i + 1])} deg" for i in index]
+            index = np.clip(np.searchsorted(edges, sizes_of[moved]) - 1, 0, MOST_AMPLITUDES - 1)
+            names[moved] = [f"{shown_number(edges[i])} to {shown_number(edges[i + 1])} {shown}" for i in index]
     return names.astype(str)
 
 

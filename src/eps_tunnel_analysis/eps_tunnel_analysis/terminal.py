@@ -20,7 +20,7 @@ from eps_tunnel_analysis.outputs import shown_number, shown_share, shown_value
 if TYPE_CHECKING:
     from eps_tunnel_analysis.compare import Comparison
     from eps_tunnel_analysis.diagnose.progress import RolloutProgress
-    from eps_tunnel_analysis.diagnose.verdict import Verdict
+    from eps_tunnel_analysis.diagnose.verdict import PlayError, Verdict
     from eps_tunnel_analysis.fit.calibrate import Bars, CalibrationResult, Score
     from eps_tunnel_analysis.fit.evaluations import FitProgress
     from eps_tunnel_analysis.fit.problem import Part
@@ -143,18 +143,31 @@ def _print_scores(
     )
 
 
-def print_verdict(verdict: "Verdict", notes: Sequence[str] = (), out: Console | None = None) -> None:
-    """The sentence, the hypotheses as a table, by how much the error fell, and notes."""
+def print_verdict(verdict: "Verdict", notes: Sequence[str] = (), out: Console | None = None, unit: str = "rad") -> None:
+    """The sentence, the hypotheses as a table, by how much the error fell, and notes.
+
+    Args:
+        unit: of the errors, the rig's `position_unit`.
+    """
     from eps_tunnel_analysis.diagnose.falls import fall_sentences
 
     out, v = out or console(), verdict
     out.print(v.sentence, style="bold", soft_wrap=True, markup=False)
     rows = [(name, f"{p:.1%}", "*" if name in v.stated else "") for name, p in v.set.items() if p >= SMALL]
     table(out, "Hypotheses", ("hypothesis", "probability", "in the stated set"), rows)
-    three = (v.given, v.before, v.after)
-    for line in fall_sentences(three, v.plays, itself=v.rig_against_itself) if v.effects else ():
-        out.print(line, soft_wrap=True, markup=False)
+    if v.effects:
+        print_recordings(out, v.plays, unit)
+        for line in fall_sentences((v.given, v.before, v.after), v.plays, unit, v.rig_against_itself, ball=False):
+            out.print(line, soft_wrap=True, markup=False)
     print_notes(out, (*notes, *v.notes))
+
+
+def print_recordings(out: Console, plays: "Sequence[Sequence[PlayError]]", unit: str) -> None:
+    """The error of each recording by three models as a table, where there are several."""
+    from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording
+
+    if len(plays[0]) > 1:
+        table(out, "Error of each recording", RECORDING_COLUMNS, [r.row for r in by_recording(plays, unit)], left=2)
 
 
 def print_notes(out: Console, notes: Sequence[str]) -> None:

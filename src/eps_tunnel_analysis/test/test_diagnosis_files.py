@@ -8,10 +8,16 @@ import pytest
 import yaml
 from small_recordings import record, write_rig
 
+from eps_tunnel_analysis.diagnose.addition import addition_of
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
-from eps_tunnel_analysis.loop.reason import DiagnosisOptions, DiagnosisRun, diagnose_recorded
-from eps_tunnel_analysis.report.pictures import answer_picture, left_over_picture
+from eps_tunnel_analysis.diagnose.falls import addition_recordings, addition_sentences, fall_sentences
+from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
+from eps_tunnel_analysis.loop.experimenter import Added, Ending, Stair
+from eps_tunnel_analysis.loop.notebook import Notebook, addition_page, ending_page
+from eps_tunnel_analysis.loop.reason import DiagnosisOptions, DiagnosisRun, Reason, diagnose_recorded
+from eps_tunnel_analysis.report.pictures import answer_picture, left_over_picture, staircase_picture
 from eps_tunnel_analysis.report.reports import Findings, write_diagnosis
+from eps_tunnel_analysis.terminal import print_verdict, text_of
 from labyrinth_sim.model import load_model
 
 EFFECT = "coulomb_friction.a"
@@ -64,3 +70,44 @@ def test_a_picture_of_an_undecided_diagnosis_names_nothing(found: Findings, tmp_
     assert "with what is named" not in labels(undecided(found).diagnosis)
     assert "arm with the likeliest</h3>" in written(undecided(found), tmp_path / "open")[1]
     assert "arm after</h3>" in written(found, tmp_path / "named")[1]
+
+
+def test_what_a_sledge_is_off_by_is_a_length_in_terminal_and_report(found: Findings, tmp_path: Path) -> None:
+    v = found.diagnosis.verdict
+    # Two recordings, one of which got worse.
+    given, refitted, after = (
+        (PlayError("one", False, e), PlayError("other", False, o))
+        for e, o in ((0.004, 0.001), (0.003, 0.001), (0.001, 0.002))
+    )
+    two = replace(found.diagnosis, verdict=replace(v, plays=(given, refitted, after)))
+    printed = text_of(lambda out: print_verdict(two.verdict, (), out, "m"))
+    _, page = written(replace(found, diagnosis=two), tmp_path / "why")
+    for text in (printed, page):
+        assert "Worse than the model as given on 1 of 2 recordings: other (fitted), 1 mm as given, 2 mm now." in text
+        assert "Alikeness at k = 1" in text
+        assert " deg" not in text
+    assert "Error of each recording" in printed and "+100%" in printed
+
+
+def test_what_a_sledge_is_off_by_is_a_length_in_a_notebook(found: Findings, tmp_path: Path) -> None:
+    addition = addition_of(found.diagnosis, (EFFECT,), found.recorded.plays)
+    assert [one.unit for one in addition_recordings(addition)] == ["m"]
+    assert any("Alikeness" in line for line in addition_sentences(addition))
+    notebook, model = Notebook(tmp_path, "A sledge"), tmp_path / "m.yaml"
+    pages = addition_page(Added(addition, "friction", "", model), notebook)
+    reason = Reason(found.diagnosis, found.recorded, {}, tmp_path)
+    stairs = (Stair("as given", error=0.004, alikeness=0.1, repeats=0.001),)
+    pages += ending_page(Ending("effect", "It lacks friction.", (EFFECT,), (), model, stairs, reason), notebook)
+    text = "\n".join(pages)
+    assert "| as given | 4 mm |" in text
+    assert " mm" in pages[2] and " deg" not in text
+    assert staircase_picture([("as given", 0.004)], 0.001, "m").axes[0].get_ylabel() == "error E in mm"
+
+
+def test_of_the_ball_no_recording_is_told() -> None:
+    three = (Errors(0.004, 0.004, 0.1), Errors(0.003, 0.003, 0.1), Errors(0.001, 0.001, 0.5))
+    worse = tuple((PlayError("one", False, e), PlayError("other", False, e)) for e in (0.01, 0.01, 0.02))
+    sledge, ball = (fall_sentences(three, worse, "m", ball=rolls) for rolls in (False, True))
+    assert sledge[0].startswith("Worse than") and len(sledge) == 4
+    assert len(ball) == 2 and not any("Alikeness" in line or "Worse" in line for line in ball)
+    assert fall_sentences(three, worse, "m") == ball

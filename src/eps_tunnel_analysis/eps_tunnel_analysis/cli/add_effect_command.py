@@ -11,7 +11,7 @@ from eps_tunnel_analysis.cli.arguments import (
     diagnosis_options,
 )
 from eps_tunnel_analysis.outputs import json_text, model_file
-from eps_tunnel_analysis.terminal import console, print_next, rollout_progress, table
+from eps_tunnel_analysis.terminal import console, print_next, print_recordings, rollout_progress, table
 
 NAME = "add-effect"
 HELP = "Adds effects to a model, fits them as diagnose does, and judges them on what was not fitted."
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording, fall_sentences
+    from eps_tunnel_analysis.diagnose.falls import addition_sentences
     from eps_tunnel_analysis.loop.reason import add_to_model
     from eps_tunnel_analysis.report.next_step import after_addition
 
@@ -40,15 +40,15 @@ def run(arguments: argparse.Namespace) -> None:
         added, recorded = add_to_model(
             arguments.model, arguments.real, arguments.names, out, diagnosis_options(arguments), progress
         )
+    said = addition_sentences(added)
     if arguments.json:
-        print(json_text({"model": str(out), **added.to_json()}), end="")
+        print(json_text({"model": str(out), **added.to_json(), "sentence": " ".join(said)}), end="")
         return
     shown = console()
     rows = [(n, f"{v:.5g}") for n, v in added.values.items()]
     table(shown, "Fitted values", ("parameter", "value"), rows)
-    if len(added.plays[0]) > 1:
-        table(shown, "Error of each recording", RECORDING_COLUMNS, [r.row for r in by_recording(added.plays)], left=2)
-    for sentence in (*fall_sentences(added.errors, added.plays, added.unit, added.itself), *added.doubts):
+    print_recordings(shown, added.plays, added.model.rig.position_unit)
+    for sentence in said:
         shown.print(sentence, soft_wrap=True, markup=False)
     shown.print(f"Model: {out}", soft_wrap=True)
     print_next(shown, *after_addition(recorded, arguments.real, out))

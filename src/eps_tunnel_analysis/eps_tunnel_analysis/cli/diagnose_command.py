@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> None:
         return
     diagnosis = reason.diagnosis
     out, v = console(), diagnosis.verdict
-    print_verdict(v, reason.recorded.notes)
+    print_verdict(v, reason.recorded.notes, unit=reason.recorded.model.rig.position_unit)
     if (proposal := reason.proposal) is not None:
         out.print(proposal.sentence, soft_wrap=True, markup=False)
         if proposal.text:

@@ -14,7 +14,7 @@ from eps_tunnel_analysis.cli.arguments import (
     diagnosis_options,
 )
 from eps_tunnel_analysis.outputs import json_text, refuse_existing, shown_share, shown_value
-from eps_tunnel_analysis.terminal import console, print_next, rollout_progress, table
+from eps_tunnel_analysis.terminal import console, print_next, print_recordings, rollout_progress, table
 from labyrinth_sim.errors import InputError
 
 NAME = "improve"
@@ -66,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int | None:
 
 
 def _improve(arguments: argparse.Namespace) -> None:
+    from eps_tunnel_analysis.diagnose.falls import addition_sentences
     from eps_tunnel_analysis.loop.experimenter import Added, Ending, Experimenter, Plan, heading
     from eps_tunnel_analysis.report.next_step import compare_with
 
@@ -79,7 +80,9 @@ def _improve(arguments: argparse.Namespace) -> None:
         for step in Experimenter(plan, arguments.out, progress=lambda: rollout_progress(arguments.progress)).steps():
             out.print(heading(step), soft_wrap=True, markup=False)
             if isinstance(step, Added):
-                out.print(" ".join(filter(None, (step.why, step.addition.sentence))), soft_wrap=True, markup=False)
+                said = addition_sentences(step.addition)
+                out.print(" ".join(filter(None, (step.why, *said))), soft_wrap=True, markup=False)
+                print_recordings(out, step.addition.plays, step.addition.model.rig.position_unit)
     finally:
         with suppress(OSError):
             arguments.out.rmdir()  # where nothing was done

@@ -8,9 +8,13 @@ of them get worse.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
 from eps_tunnel_analysis.outputs import shown_share, shown_value
+
+if TYPE_CHECKING:
+    from eps_tunnel_analysis.diagnose.addition import Addition
 
 LISTED = 3  # recordings that got worse
 
@@ -20,13 +24,14 @@ Three = tuple[Errors, Errors, Errors]
 
 @dataclass(frozen=True)
 class RecordingErrors:
-    """One recording: its name, whether it was kept from the fit, and the errors (rad) of three models on it."""
+    """One recording: its name, whether it was kept from the fit, and the errors of three models on it in `unit`."""
 
     name: str
     held_out: bool
     given: float
     refitted: float
     after: float
+    unit: str = "rad"
 
     @property
     def change(self) -> float:
@@ -36,7 +41,7 @@ class RecordingErrors:
     @property
     def row(self) -> tuple[str, str, str, str, str, str]:
         """As people read it: name, fitted or held out, three errors, change against the model as given."""
-        errors = (shown_value(e, "rad") for e in (self.given, self.refitted, self.after))
+        errors = (shown_value(e, self.unit) for e in (self.given, self.refitted, self.after))
         given, refitted, after = errors
         return self.name, "held out" if self.held_out else "fitted", given, refitted, after, f"{self.change - 1:+.0%}"
 
@@ -44,27 +49,37 @@ class RecordingErrors:
 RECORDING_COLUMNS = ("recording", "", "as given", "refitted", "with effects", "against as given")
 
 
-def by_recording(plays: Sequence[Sequence[PlayError]]) -> list[RecordingErrors]:
+def by_recording(plays: Sequence[Sequence[PlayError]], unit: str = "rad") -> list[RecordingErrors]:
     """One entry a recording, the one that fared worst first.
 
     Args:
         plays: for each of the three models, the error of each recording.
+        unit: of the errors, the rig's `position_unit`.
     """
-    joined = [RecordingErrors(g.name, g.held_out, g.error, r.error, a.error) for g, r, a in zip(*plays, strict=True)]
+    three = zip(*plays, strict=True)
+    joined = [RecordingErrors(g.name, g.held_out, g.error, r.error, a.error, unit) for g, r, a in three]
     return sorted(joined, key=lambda one: -one.change)
 
 
 def fall_sentences(
-    errors: Three, plays: Sequence[Sequence[PlayError]], unit: str = "rad", itself: float = math.nan
+    errors: Three,
+    plays: Sequence[Sequence[PlayError]],
+    unit: str = "rad",
+    itself: float = math.nan,
+    ball: bool | None = None,
 ) -> list[str]:
     """What the effects did to the error: recordings that got worse first, then what was fitted, then what was not.
 
     Empty where nothing was measured in this unit.
 
     Args:
+        unit: of the errors, and of those of the recordings.
         itself: alikeness that the rig reaches against itself at k = 1; NaN where unknown.
+        ball: the errors are those of the ball, of which neither recordings nor alikeness tell; None: they are where
+            the unit is m.
     """
-    recordings = by_recording(plays) if unit == "rad" else []
+    ball = unit == "m" if ball is None else ball
+    recordings = [] if ball else by_recording(plays, unit)
     worse = [one for one in recordings if one.change > 1.0]
     said = []
     if worse:
@@ -80,7 +95,7 @@ def fall_sentences(
     kept = "On recordings held out" if held else "On stretches of time left out of the fit"
     said.append(_fall("On what was fitted", (given.error, refitted.error, after.error), unit))
     said.append(_fall(kept, (given.held_out, refitted.held_out, after.held_out), unit))
-    if unit == "rad":
+    if not ball:
         alike = [shown_share(e.alikeness) for e in errors]
         said.append(
             f"Alikeness at k = 1: {alike[0]} as given, {alike[1]} with its values refitted, {alike[2]} now"
@@ -89,6 +104,18 @@ def fall_sentences(
     if after.held_out >= refitted.held_out:
         said.append("It does not help beyond refitted values on what was not fitted: leave it out.")
     return said
+
+
+def addition_sentences(added: "Addition") -> list[str]:
+    """What added effects did to the error, in the rig's unit or the ball's, and what is doubtful about them."""
+    ball = added.unit != added.model.rig.position_unit
+    falls = fall_sentences(added.errors, added.plays, added.unit, added.itself, ball) if added.effects else []
+    return [*falls, *added.doubts]
+
+
+def addition_recordings(added: "Addition") -> list[RecordingErrors]:
+    """One entry a recording, in the rig's unit, the one that fared worst first."""
+    return by_recording(added.plays, added.model.rig.position_unit)
 
 
 def of_rig(itself: float) -> str:

@@ -62,10 +62,10 @@ class Stair:
 
     Attributes:
         step: "as given", "refitted values", or "+" and what was added.
-        error: equation 10, mean over signals, rad.
+        error: equation 10, mean over signals, in the rig's `position_unit`.
         alikeness: joint, at k = 1.
         held_out: the error on what was not fitted; NaN where it is that of a fresh play.
-        repeats: what the rig itself does not repeat, rad; NaN where that was not measured.
+        repeats: what the rig itself does not repeat; NaN where that was not measured.
         itself: alikeness that the rig reaches against itself, joint, at k = 1; NaN where that was not measured.
         ball: its errors, m, where it was seen.
     """

@@ -34,13 +34,18 @@ class Gap:
     jitter: float
 
     @property
+    def unit(self) -> str:
+        """Of the errors: that of the signals; rad where some turn and some slide."""
+        return "m" if set(self.comparison.real.units) == {"m"} else "rad"
+
+    @property
     def error(self) -> float:
-        """Equation 10, mean over the signals: rad."""
+        """Equation 10, mean over the signals, in `unit`."""
         return float(np.nanmean([e.command_error for e in self.comparison.errors]))
 
     @property
     def repeats(self) -> float:
-        """What the rig itself does not repeat: RMS about the mean of its trials, mean over the signals; rad."""
+        """What the rig itself does not repeat: RMS about the mean of its trials, mean over the signals; in `unit`."""
         return float(np.nanmean([e.repeat_rms for e in self.comparison.errors]))
 
     @property

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording
+from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, addition_recordings, addition_sentences
 from eps_tunnel_analysis.loop.experimenter import Added, Ending, Played, Step, Tested, heading
 from eps_tunnel_analysis.loop.reason import Reason
 from eps_tunnel_analysis.loop.rig import RigFailed
@@ -145,8 +145,8 @@ def addition_page(added: Added, notebook: Notebook) -> list[str]:
     return [
         added.why,
         markdown_table(("parameter", "value"), rows),
-        addition.sentence,
-        markdown_table(RECORDING_COLUMNS, [one.row for one in by_recording(addition.plays)]),
+        " ".join(addition_sentences(addition)),
+        markdown_table(RECORDING_COLUMNS, [one.row for one in addition_recordings(addition)]),
         f"Loaded into the simulation: {notebook.link(added.file.name, added.file)}",
     ]
 
@@ -161,8 +161,9 @@ def law_page(tested: Tested, notebook: Notebook) -> list[str]:
 
 def ending_page(ending: Ending, notebook: Notebook) -> list[str]:
     """Verdict, staircase, and where nothing known explains what is left, the picture of that."""
-    rows = [(s.step, shown_value(s.error, "rad"), *map(shown_share, (s.alikeness, s.itself))) for s in ending.steps]
-    stairs = staircase_picture([(s.step, s.error) for s in ending.steps], ending.steps[-1].repeats)
+    unit = ending.last.recorded.model.rig.position_unit
+    rows = [(s.step, shown_value(s.error, unit), *map(shown_share, (s.alikeness, s.itself))) for s in ending.steps]
+    stairs = staircase_picture([(s.step, s.error) for s in ending.steps], ending.steps[-1].repeats, unit)
     blocks = [
         f"**{ending.sentence}**",
         markdown_table(("model", "error E", "alike in every signal, k = 1", "rig against itself"), rows),

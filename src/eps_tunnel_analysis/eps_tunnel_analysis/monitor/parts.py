@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the page shows, part by part. SI units; the page turns angles into degrees and lengths into mm."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -39,9 +39,11 @@ class RigPart:
     Attributes:
         name: of the rig.
         axes: signals of measured positions.
-        reach: rad, the largest target angle of any axis.
+        reach: rad, or m where it slides, the largest target of any axis.
         tilt: signals of the board's turn about its x and its y axis; None without a floor.
         floor: None without a ball.
+        unit: in which errors of the rig's positions are told, rad or m.
+        units: SI unit of each signal.
     """
 
     name: str
@@ -49,6 +51,8 @@ class RigPart:
     reach: float
     tilt: tuple[str, str] | None
     floor: Floor | None
+    unit: str = "rad"
+    units: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ class Before:
 
 @dataclass(frozen=True)
 class Pose:
-    """One side now: position of each joint in rad, the ball in m, None where it is not seen or not measured."""
+    """One side now: position of each joint in rad or m, the ball in m, None where it is not seen or not measured."""
 
     angles: dict[str, float]
     ball: Point | None
@@ -130,8 +134,9 @@ class Scene:
 @dataclass(frozen=True)
 class VerdictPart:
     """What a diagnosis said. hypotheses: (name, probability, whether in the stated set); where: spans outside the
-    tunnel as (signal, start, end) in s; held_out: errors on samples kept from the fit, rad, of the model as given, with
-    its values refitted, with the effects added; report: address, next_experiment: name or path, "" where none."""
+    tunnel as (signal, start, end) in s; held_out: errors on samples kept from the fit, in the rig's unit, of the
+    model as given, with its values refitted, with the effects added; report: address, next_experiment: name or path, ""
+    where none."""
 
     verdict: str
     sentence: str
@@ -153,7 +158,7 @@ class StaircaseStep:
     Attributes:
         model: its name.
         change: what was done to get it, in words.
-        held_out: mean error on samples kept from the fit, rad; None where it was not diagnosed.
+        held_out: mean error on samples kept from the fit, in the rig's unit; None where it was not diagnosed.
         live: joint alikeness at the smallest k at the end of its last run; None before.
     """
 
@@ -266,7 +271,8 @@ def rig_of(model: Model) -> RigPart:
     floor = floor_of(model)
     loads = [m.signal for a in model.rig.axes for m in a.measured if (m.joint, m.quantity) == (a.load, "position")]
     tilt = (loads[0], loads[1]) if floor is not None and len(loads) == 2 else None
-    return RigPart(model.rig.name, axes, reach, tilt, floor)
+    units = dict(zip(model.rig.signals, model.rig.units, strict=True))
+    return RigPart(model.rig.name, axes, reach, tilt, floor, model.rig.position_unit, units)
 
 
 def floor_of(model: Model) -> Floor | None:

@@ -291,7 +291,7 @@ class Steps:
         self.model = self.file = ""
 
     def announce(self, change: str, held_out: float | None) -> None:
-        """What the model that will be loaded next was changed by, and what it left on samples held out, rad."""
+        """What changed the model that will be loaded next, and what it left on samples held out, in the rig's unit."""
         self._next = (change, held_out)
 
     def runs(self, model: str, file: str, loads: str) -> bool:
@@ -334,7 +334,7 @@ class Steps:
             self._told()
 
     def diagnosed(self, held_out: float | None) -> None:
-        """The running model's error on samples held out, rad."""
+        """The running model's error on samples held out, in the rig's unit."""
         if self._steps:
             self._steps[-1] = replace(self._steps[-1], held_out=held_out)
             self._told()

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
+from eps_tunnel_analysis.diagnose.falls import addition_sentences
 from eps_tunnel_analysis.loop.experimenter import Added, Experimenter, Plan, Played
 from eps_tunnel_analysis.loop.gap import Gap
 from eps_tunnel_analysis.loop.reason import DiagnosisOptions, Reason
@@ -101,11 +102,12 @@ def _what_to_do(added: Added, reason: Reason, bags: Bags, model: str) -> str:
     by_hand = next_commands(added.addition.effects, reason.recorded, bags.real, model, reason.folder)[1]
     careful = f" A careful experimenter plays {reason.folder / 'next_experiment.yaml'} first, as eps-tunnel improve " \
         "--live does." if added.why and reason.diagnosis.experiment else ""  # fmt: skip
-    return f"{added.words} is added. {added.why}{careful} {added.addition.sentence} By hand: {by_hand}"
+    said = " ".join(addition_sentences(added.addition))
+    return f"{added.words} is added. {added.why}{careful} {said} By hand: {by_hand}"
 
 
 def _fall(before: Gap, after: Gap) -> str:
-    old, new = (shown_value(gap.error, "rad") for gap in (before, after))
+    old, new = (shown_value(gap.error, gap.unit) for gap in (before, after))
     change = 1 - after.error / before.error
     verb = f"fell by {change:.0%}" if change > 0 else f"rose by {-change:.0%}"
     k1 = [f"{100 * min(gap.alikeness.items())[1]:.1f} %" for gap in (before, after)]

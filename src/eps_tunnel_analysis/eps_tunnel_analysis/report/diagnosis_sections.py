@@ -77,9 +77,10 @@ def verdict(diagnosis: Diagnosis) -> Section:
         ),
     ]
     if v.effects:
-        blocks.append(Points(fall_sentences((v.given, v.before, v.after), v.plays, itself=v.rig_against_itself)))
+        falls = fall_sentences((v.given, v.before, v.after), v.plays, unit, v.rig_against_itself, ball=False)
+        blocks.append(Points(falls))
     if v.effects and len(v.plays[0]) > 1:
-        rows = [one.row for one in by_recording(v.plays)]
+        rows = [one.row for one in by_recording(v.plays, unit)]
         blocks.append(Table(RECORDING_COLUMNS, rows, caption="Mean error of each recording", numeric=(2, 3, 4, 5)))
     if v.notes:
         blocks.append(Points(v.notes))

@@ -183,7 +183,7 @@ def answer_picture(diagnosis: Diagnosis) -> Figure:
 
 
 def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
-    """Simulation minus real over the measured angle and over the speed, of the signal that is most beyond its noise.
+    """Simulation minus real over the measured angle or place and the speed, of the signal most beyond its noise.
 
     Args:
         alone: only of the refitted values, without the effects.
@@ -193,12 +193,13 @@ def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
     shown = [(before, SIM_COLOUR, "before")]
     shown += [(after, REAL_COLOUR, last_model(diagnosis.verdict))] if diagnosis.verdict.effects and not alone else []
     factor, unit = shown_unit(before.real.units[worst])
+    place = "angle" if before.real.units[worst] == "rad" else "place"
     real = before.real_tunnel.mean[:, worst]
     speed = np.gradient(real, before.real.step)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 2.8), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
-        for axes, x, label in zip(panels, (real, speed), (f"angle in {unit}", f"speed in {unit}/s"), strict=True):
+        for axes, x, label in zip(panels, (real, speed), (f"{place} in {unit}", f"speed in {unit}/s"), strict=True):
             for comparison, colour, name in shown:
                 left = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
                 axes.plot(factor * x, factor * left, ".", ms=2, color=colour, label=name)
@@ -209,16 +210,16 @@ def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
     return figure
 
 
-def staircase_picture(steps: Sequence[tuple[str, float]], floor: float) -> Figure:
-    """Error after each step (name, rad) against what the rig itself does not repeat (rad)."""
+def staircase_picture(steps: Sequence[tuple[str, float]], floor: float, unit: str = "rad") -> Figure:
+    """Error after each step (name, in `unit`) against what the rig itself does not repeat."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 2.8), layout="constrained")
         axes = figure.subplots()
-        factor, unit = shown_unit("rad")
+        factor, shown = shown_unit(unit)
         axes.bar(range(len(steps)), [factor * error for _, error in steps], color=SIM_COLOUR, width=0.6)
         axes.axhline(factor * floor, color=REAL_COLOUR, ls="--", lw=1, label="what the rig itself does not repeat")
         axes.set_xticks(range(len(steps)), [name for name, _ in steps])
-        axes.set(ylabel=f"error E in {unit}", axisbelow=True)
+        axes.set(ylabel=f"error E in {shown}", axisbelow=True)
         axes.legend(frameon=False)
         axes.grid(visible=False, axis="x")
     return figure

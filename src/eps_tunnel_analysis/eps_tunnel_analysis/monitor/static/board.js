@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // The board and the ball from above, and where every axis is, real and simulated.
 import { cleared, colour } from "/static/colours.js";
+import { unitOf } from "/static/table.js";
 
 const TRAIL = 25; // positions of each ball that are remembered
 const trails = { real: [], sim: [] };
-const DEG = 180 / Math.PI;
 
 export function drawBoard(rig, scene, inside) {
   const canvas = document.getElementById("board");
@@ -78,7 +78,8 @@ function drawAngles(rig, scene, inside) {
       mark.hidden = angle === undefined || angle === null;
       if (!mark.hidden) mark.style.left = `${50 + 50 * Math.max(-1, Math.min(1, angle / rig.reach))}%`;
     });
-    value.textContent = `${angles.map((a) => (a === undefined || a === null ? "–" : (a * DEG).toFixed(1))).join(" / ")} deg`;
+    const [unit, factor] = unitOf(axis);
+    value.textContent = `${angles.map((a) => (a === undefined || a === null ? "–" : (a * factor).toFixed(1))).join(" / ")} ${unit}`;
   });
 }
 

@@ -2,6 +2,7 @@
 // Keeps the connection, hands each part to its panel, and sends what is asked for.
 import { drawBoard } from "/static/board.js";
 import { drawGap } from "/static/gap.js";
+import { learnUnits } from "/static/table.js";
 import { Tunnels } from "/static/tunnels.js";
 import { offerValues, showWhatIf } from "/static/what_if.js";
 import { showChoices, showControls, showHealth, showLog, showNotice, showStairs, showVerdict } from "/static/panels.js";
@@ -39,11 +40,13 @@ function connect() {
 function take(news) {
   if (news.refused) { showNotice(news.refused); return; }
   Object.assign(known, news);
+  const si = known.rig ? known.rig.unit : "rad";
+  if (news.rig) learnUnits(news.rig.units);
   if (news.tunnel) tunnels.take(news.tunnel);
   if (news.past) tunnels.keep(news.past.trials);
   if (news.choices) showChoices(news.choices);
-  if (news.verdict) showVerdict(news.verdict);
-  if (news.staircase) showStairs(news.staircase.steps);
+  if (news.verdict || (news.rig && known.verdict)) showVerdict(known.verdict, si);
+  if (news.staircase || (news.rig && known.staircase)) showStairs(known.staircase.steps, si);
   if (news.log) showLog(news.log.entries);
   if (news.health) showHealth(news.health);
   if (news.adjustables) offerValues(news.adjustables.values, ask);

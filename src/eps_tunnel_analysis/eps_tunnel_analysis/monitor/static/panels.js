@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Words, buttons and bars.
 import { percent } from "/static/gap.js";
+import { shownUnit } from "/static/table.js";
 
 const element = (id) => document.getElementById(id);
 const PARTS = [["real", "Rig"], ["sim", "Simulation"], ["player", "Player"], ["analysis", "Analysis"]];
@@ -60,7 +61,11 @@ export function showControls({ connections: there, job, run, verdict, rig }) {
     : `${DOING[job.kind]}, ${job.seconds.toFixed(0)} s: ${job.told}`;
 }
 
-export function showVerdict(told) {
+// An error in the rig's SI unit, as people read it.
+const inWords = (value, si) => { const [unit, factor] = shownUnit(si); return `${(value * factor).toFixed(3)} ${unit}`; };
+
+// Errors are in `si`, the rig's unit.
+export function showVerdict(told, si) {
   element("sentence").textContent = told.sentence;
   const shown = told.hypotheses.filter(([, p, stated]) => stated || p >= 0.001).sort((a, b) => b[1] - a[1]).slice(0, 6);
   element("hypotheses").replaceChildren(...shown.map(([name, p, stated]) => {
@@ -73,10 +78,10 @@ export function showVerdict(told) {
   const names = [...new Set([told.effects.join(" + "), ...shown.map(([name]) => name)])].filter((n) => n && n !== "none" && n !== "unknown");
   element("adding").hidden = !names.length;
   element("effect").replaceChildren(...names.map((name) => { const option = make("option", name); option.value = name; return option; }));
-  const more = element("verdict-more"), degrees = (v) => `${(v * 180 / Math.PI).toFixed(3)} deg`;
+  const more = element("verdict-more");
   const [given, refitted, after] = told.held_out;
   const errors = [[given, "as given"], [refitted, "with values refitted"], [told.effects.length ? after : null, "with the effect"]].filter(([v]) => v !== null);
-  const lines = errors.length ? [`Error on samples kept from the fit: ${errors.map(([v, when]) => `${degrees(v)} ${when}`).join(", ")}.`] : [];
+  const lines = errors.length ? [`Error on samples kept from the fit: ${errors.map(([v, when]) => `${inWords(v, si)} ${when}`).join(", ")}.`] : [];
   const where = told.where.filter(([signal]) => signal !== "jointly").sort((a, b) => (b[2] - b[1]) - (a[2] - a[1])).slice(0, 3);
   if (where.length) lines.push(`Longest outside the tunnel, values refitted: ${where.map(([signal, start, end]) => `${signal} ${start.toFixed(2)} to ${end.toFixed(2)} s`).join(", ")}.`);
   if (told.next_experiment) lines.push("Next: play the proposed sequence, the first in the list.");
@@ -88,13 +93,13 @@ export function showVerdict(told) {
   }
 }
 
-export function showStairs(steps) {
+export function showStairs(steps, si) {
   const worst = Math.max(...steps.map((s) => s.held_out || 0), 1e-9);
   element("stairs").replaceChildren(...steps.map((step) => {
     const row = make("div", "", "step"), name = make("div");
     name.append(make("b", step.change), make("span", step.model, "quiet"));
     row.append(name,
-      value(step.held_out === null ? null : step.held_out / worst, step.held_out === null ? "no error yet" : `${(step.held_out * 180 / Math.PI).toFixed(3)} deg`, "error"),
+      value(step.held_out === null ? null : step.held_out / worst, step.held_out === null ? "no error yet" : inWords(step.held_out, si), "error"),
       value(step.live, step.live === null ? "not played" : `${percent(step.live)} alike`, ""));
     return row;
   }));

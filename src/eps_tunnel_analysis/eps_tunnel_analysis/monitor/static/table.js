@@ -3,9 +3,15 @@
 
 export const MEAN = 1, LOWER = 2, UPPER = 3, SIMULATED = 4, BEFORE = 5, INSIDE = 6; // columns of a signal; 0 is time
 export const UNSEEN = -1, OUTSIDE = 0, COLLECTING = 2;
-export const unitOf = (name) => (name.startsWith("ball_") ? ["mm", 1000] : name.endsWith("_effort") ? ["N m", 1]
-  : name.endsWith("_velocity") ? ["deg/s", 180 / Math.PI] : ["deg", 180 / Math.PI]);
-const SI = { mm: "m", "N m": "N m", "deg/s": "rad/s", deg: "rad" };
+const DEG = 180 / Math.PI, SHOWN = { rad: ["deg", DEG], "rad/s": ["deg/s", DEG], m: ["mm", 1000], "m/s": ["mm/s", 1000] };
+let units = {}; // signal -> SI unit, as the rig's model tells them
+
+export const learnUnits = (told) => { units = told || {}; };
+export const siOf = (name) => units[name] || (name.startsWith("ball_") ? "m" : name.endsWith("_effort") ? "N m"
+  : name.endsWith("_velocity") ? "rad/s" : "rad");
+// The unit that people read instead of an SI unit, and the factor to it.
+export const shownUnit = (si) => SHOWN[si] || [si, 1];
+export const unitOf = (name) => shownUnit(siOf(name));
 const NAMES = ["mean", "lower", "upper", "simulated", "model_before"];
 
 export class Table {
@@ -53,7 +59,7 @@ export class Table {
 
   // SI units, one row a sample; empty where a value is not known.
   csv() {
-    const header = ["time_s", ...this.signals.flatMap((name) => [...NAMES.map((what) => `${name}_${what}_${SI[unitOf(name)[0]].replace(" ", "_")}`), `${name}_inside`])];
+    const header = ["time_s", ...this.signals.flatMap((name) => [...NAMES.map((what) => `${name}_${what}_${siOf(name).replace(" ", "_")}`), `${name}_inside`])];
     const lines = [header.join(",")];
     for (let i = 0; i < (this.columns[0] ? this.columns[0][0].length : 0); i++) {
       const cells = this.columns.flatMap((column, s) => [
