@@ -8,7 +8,7 @@ import pytest
 from fit_cases import TRUTH, made_by, start, step
 
 from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
-from eps_tunnel_analysis.fit.intervals import intervals, trade_offs
+from eps_tunnel_analysis.fit.intervals import intervals, trade_offs, widened
 from eps_tunnel_analysis.fit.methods import GaussNewton
 from eps_tunnel_analysis.simulated import Play
 
@@ -78,3 +78,35 @@ def test_a_missing_effect_widens_the_interval_until_it_holds_the_truth() -> None
     assert abs(shifted.value - TRUTH["drive.x.p"]) <= shifted.half_width
     assert any("missing effect would have shifted" in w for w in lacking.warnings)
     assert not any("missing effect" in w for w in healthy.warnings)
+
+
+def test_values_that_trade_off_are_told_where_an_effect_is_missing_too(monkeypatch) -> None:
+    """What is known of both together is worth most where neither is known well."""
+    monkeypatch.setattr("eps_tunnel_analysis.fit.intervals.TRADE_OFF", 0.7)
+    rig = start().with_values(TRUTH).with_effect("gain_error", "x", {"share": 0.03})
+    settings = Settings(method=QUICK, nthread=1, signals=("motor_x", "board_x"))
+    recorded = Play("", made_by(rig, step(3.0)))
+    told = calibrate(start().with_values(TRUTH), ("drive.x.d", "drive.x.delay"), [recorded], settings).warnings
+    assert any("missing effect would have shifted" in w for w in told)
+    assert any("trade off" in w and "is known better than either" in w for w in told), told
+
+
+def test_a_combination_that_a_missing_effect_shifts_is_not_known_better() -> None:
+    rng = np.random.default_rng(2)
+    both = rng.standard_normal(500)
+    slopes = np.column_stack([both, 0.5 * both + 0.01 * rng.standard_normal(500)])
+    found = intervals(slopes, 0.1 * rng.standard_normal(500), np.zeros(500))
+    values, span = np.array([4.0, 6.0]), np.array([1.0, 2.0])
+
+    def half(*shift: float) -> float | None:
+        shifts = np.array([shift])
+        wide = widened(found, np.abs(shifts).max(axis=0))
+        said = trade_offs(wide, values, span, ("a", "b"), shifts)
+        return float(said[0].split("±")[1].split()[0]) if said else None
+
+    (alone,) = trade_offs(found, values, span, ("a", "b"))
+    along, across = half(1.0, -2.0), half(1.0, 2.0)
+    assert along == pytest.approx(float(alone.split("±")[1].split()[0]), rel=0.2), "a + 0.25 b stays where it is"
+    assert across is None
+    slightly = half(0.01, 0.0)
+    assert slightly is not None and slightly > 0.0196

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bag_files import START
 from command_line import eps_tunnel
 from fit_cases import TRUTH, bag_of, made_by, plays, start, step
 
 from eps_tunnel_analysis.fit.calibrate import judge
 from eps_tunnel_analysis.simulated import Play, roll_out
 from eps_tunnel_analysis.valid import beyond
-from eps_tunnel_analysis.values.validity import validity_of
+from eps_tunnel_analysis.values.validity import begun_at, validity_of
 from labyrinth_sim.model import Model, load_model
 
 
@@ -58,6 +59,19 @@ def test_a_play_that_goes_further_or_faster_is() -> None:
     assert any("motor_x moves at up to" in text for text in told), told
 
 
+def test_the_date_is_that_of_the_metadata_else_of_the_first_message_else_unknown(tmp_path) -> None:
+    bag = bag_of(tmp_path / "bag", plays((2.0,), trials=1)[0].trials)
+    assert begun_at(bag) == "2023-11-14 22:13 UTC"
+    metadata = bag / "metadata.yaml"
+    text = metadata.read_text()
+    for said in ("nanoseconds_since_epoch: 1000000000", "nanoseconds_since_epoch: 99999999999999999999999999"):
+        metadata.write_text(text.replace(f"nanoseconds_since_epoch: {START}", said))
+        assert begun_at(bag) is None, "a clock that began with the machine, and one that says nothing"
+    metadata.unlink()
+    assert begun_at(bag) == "2023-11-14 22:13 UTC"
+    assert begun_at(tmp_path / "nothing") is None
+
+
 def test_calibrate_writes_the_region_and_compare_says_where_a_play_leaves_it(tmp_path) -> None:
     for name, degrees in (("small", 2.0), ("large", 5.0)):
         bag_of(tmp_path / name, plays((degrees,), trials=1)[0].trials)
@@ -67,7 +81,8 @@ def test_calibrate_writes_the_region_and_compare_says_where_a_play_leaves_it(tmp
     assert done.returncode == 0, done.stderr
     valid = load_model(out).valid
     assert valid is not None and valid.signals["motor_x"].high < np.radians(2.3)
-    assert str(tmp_path / "small") in valid.recordings[0]
+    assert valid.recordings[0].startswith(f"{tmp_path / 'small'} ")
+    assert valid.recordings[0].endswith(" 2023-11-14 22:13 UTC"), "1.7e9 s, when the bag began"
     for name, remarked in (("small", False), ("large", True)):
         result = eps_tunnel("compare", "--real", tmp_path / name, "--model", out, "--json")
         assert result.returncode == 0, result.stderr

@@ -302,7 +302,7 @@ def calibrate(
         except KeyboardInterrupt:  # again: whoever waits wants the values, not how sure they are
             interrupted = True
             residuals, slopes, found = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
-            lacking = Discrepancy(np.zeros(problem.size))
+            lacking = Discrepancy(np.empty((0, problem.size)))
     finally:
         if journal:
             journal.close()
@@ -415,12 +415,13 @@ def _warnings(
 
 def _doubts(found: Intervals, lacking: Discrepancy, values: Array, span: Array, problem: Problem) -> list[str]:
     """What the intervals do not say by themselves."""
-    if not lacking.likely:
-        return trade_offs(found, values, span, problem.names)
-    return [
-        "The model leaves more than noise, so the intervals allow for what a missing effect would have shifted (of "
-        f"those tried, {lacking.likely} explains most to first order). `diagnose` names it."
-    ]
+    told = trade_offs(found, values, span, problem.names, lacking.shifts)
+    if lacking.likely:
+        told.append(
+            "The model leaves more than noise, so the intervals allow for what a missing effect would have shifted (of "
+            f"those tried, {lacking.likely} explains most to first order). `diagnose` names it."
+        )
+    return told
 
 
 #: Told before each fit of its part and its likely number of evaluations; gives what is called as the fit goes on.

@@ -31,12 +31,17 @@ NEAR = 0.02  # likelihood, over that of the best effect, from which one counts
 @dataclass(frozen=True)
 class Discrepancy:
     """Attributes:
-    deviation: (k,) by how much a missing effect may have shifted each value, normalised units.
+    shifts: (n, k) by which each effect that may be missing would have shifted the values, normalised units.
     likely: the effect that explains most, to first order; "" where no more is left than noise.
     """
 
-    deviation: Array
+    shifts: Array
     likely: str = ""
+
+    @property
+    def deviation(self) -> Array:
+        """(k,) by how much a missing effect may have shifted each value, normalised units."""
+        return np.asarray(np.abs(self.shifts).max(axis=0, initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ def discrepancy(
         z: (k,) the fit, normalised.
         residuals, slopes: (R,) and (R, k) there, in the fitness's scaling.
     """
-    nothing = Discrepancy(np.zeros(problem.size))
+    nothing = Discrepancy(np.empty((0, problem.size)))
     values = problem.from_unit(z)
     if not np.isfinite(slopes).all() or _misfit(objective, plays, objective(values[None])[0]) <= VISIBLE:
         return nothing
@@ -94,7 +99,7 @@ def discrepancy(
     shift = np.concatenate([first.shift, again.shift])
     near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(NEAR)
     likely = (*first.names, *again.names)[int(np.argmin(left))]
-    return Discrepancy(np.sqrt(np.max(shift[near] ** 2, axis=0)), likely)
+    return Discrepancy(shift[near], likely)
 
 
 def _misfit(objective: Objective, plays: Sequence[Play], raw: Array) -> float:

@@ -108,11 +108,15 @@ def widened(found: Intervals, more: Array) -> Intervals:
     return replace(found, deviation=deviation, half_width=norm.ppf(0.975) * deviation)
 
 
-def trade_offs(found: Intervals, values: Array, span: Array, names: tuple[str, ...]) -> list[str]:
+def trade_offs(
+    found: Intervals, values: Array, span: Array, names: tuple[str, ...], shifts: Array | None = None
+) -> list[str]:
     """What is known of two values together where neither is known well by itself, one sentence for each such pair.
 
     Args:
         values, span: (k,) of the fit and of the bounds, in the values' units.
+        shifts: (n, k) by which what may be missing would have shifted them, normalised units; a combination that it
+            shifts as much as the values is not known better.
     """
     said: list[str] = []
     covariance = found.covariance * np.outer(span, span)
@@ -126,10 +130,15 @@ def trade_offs(found: Intervals, values: Array, span: Array, names: tuple[str, .
         if abs(correlation) < TRADE_OFF:
             continue
         share = -covariance[i, j] / covariance[j, j]
-        half = norm.ppf(0.975) * size[i] * np.sqrt(max(1.0 - correlation**2, 0.0))
-        sign, known = "-" if share < 0.0 else "+", values[i] + share * values[j]
+        known = size[i] * np.sqrt(max(1.0 - correlation**2, 0.0))
+        if shifts is not None and len(shifts):
+            known = np.hypot(known, np.abs((shifts * span)[:, [i, j]] @ [1.0, share]).max())
+        half = norm.ppf(0.975) * known
+        if half > np.sqrt(1.0 - TRADE_OFF**2) * found.half_width[i] * span[i]:
+            continue
+        sign, both = "-" if share < 0.0 else "+", values[i] + share * values[j]
         said.append(
-            f"{names[i]} and {names[j]} trade off: {names[i]} {sign} {abs(share):.3g} {names[j]} = {known:.4g} ± "
+            f"{names[i]} and {names[j]} trade off: {names[i]} {sign} {abs(share):.3g} {names[j]} = {both:.4g} ± "
             f"{half:.2g} is known better than either."
         )
     return said

@@ -3,13 +3,19 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from eps_tunnel_analysis.fit.calibrate import judge
+from eps_tunnel_analysis.recording.bag import read_bag
 from eps_tunnel_analysis.simulated import Diverged, Play, roll_out
 from eps_tunnel_analysis.valid import ranges
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
 from labyrinth_sim.validity import Validity
+from labyrinth_sim.yaml_file import read_yaml
+
+FIRST_YEAR = 2000  # of the calendar; clocks that show less count from when something was switched on
 
 
 def validity_of(
@@ -32,4 +38,33 @@ def validity_of(
     for score in judge(model, held or plays):
         if score.signal in found:
             found[score.signal] = replace(found[score.signal], error=score.error)
-    return Validity(found, tuple(p.name for p in held), tuple(f"{path} {digest[:12]}" for path, digest in bags))
+    return Validity(found, tuple(p.name for p in held), tuple(_recorded(path, digest) for path, digest in bags))
+
+
+def _recorded(bag: Path, digest: str) -> str:
+    """A recording as the section names it: its path, the start of its SHA-256, and when it began, where that is
+    known.
+    """
+    return " ".join([f"{bag} {digest[:12]}", *([begun] if (begun := begun_at(bag)) else [])])
+
+
+def begun_at(bag: Path) -> str | None:
+    """When a recording began, as "2026-05-02 14:03 UTC": by its metadata, else by its first message; None where neither
+    tells a date.
+    """
+    try:
+        stamp = _first_stamp(bag)
+        begun = datetime.fromtimestamp(stamp / 1e9, UTC)
+    except (InputError, OSError, OverflowError, TypeError, ValueError):
+        return None
+    return f"{begun:%Y-%m-%d %H:%M} UTC" if begun.year >= FIRST_YEAR else None
+
+
+def _first_stamp(bag: Path) -> int:
+    """ns since 1970."""
+    file = bag / "metadata.yaml"
+    if file.is_file():
+        told = read_yaml(file).value(("rosbag2_bagfile_information", "starting_time", "nanoseconds_since_epoch"))
+        if isinstance(told, int):
+            return told
+    return min(topic.log_times[0] for topic in read_bag(bag).topics.values() if topic.log_times)
