@@ -5,6 +5,7 @@
 """
 
 import io
+import itertools
 import os
 import re
 import shlex
@@ -178,6 +179,25 @@ def test_every_command_of_a_page_works(page: str, end: str, tmp_path: Path) -> N
 
 def test_each_block_of_the_tutorial_is_in_one_of_its_two_parts() -> None:
     assert blocks("docs/tutorial.md", end=NODES) + blocks("docs/tutorial.md", begin=NODES) == blocks("docs/tutorial.md")
+
+
+def test_every_bag_that_the_tutorial_reads_was_made_by_a_command_before() -> None:
+    made: set[str] = set()
+    read: list[str] = []
+    for block in blocks("docs/tutorial.md"):
+        for command, _ in block.commands():
+            words = shlex.split(command)
+            for option in ("--real", "--sim"):
+                named = words[words.index(option) + 1 :] if option in words else []
+                paths = list(itertools.takewhile(lambda word: not word.startswith("-"), named))
+                assert set(paths) <= made, f"{block.name}: {command}: nothing before makes {set(paths) - made}"
+                read += paths
+            if "--bag" in words:
+                made.add(words[words.index("--bag") + 1])
+            given = dict(word.split(":=", 1) for word in words if ":=" in word)
+            if given.get("record") == "true":
+                made |= {f"{given['folder']}/{given['sequence']}_{side}" for side in ("real", "sim")}
+    assert len(set(read)) > 5
 
 
 @pytest.mark.realtime
