@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from eps_tunnel_analysis.check.data import check_data, sentences
 from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.recording import (
     Recording,
@@ -94,13 +95,15 @@ class Reading:
 @shown
 @dataclass(frozen=True)
 class Sides:
-    """Real and simulated trials, the model if there was one, and what was read, as pairs of name and value."""
+    """Real and simulated trials, the model if there was one, what was read, as pairs of name and value, notes, and
+    what the real recordings are like, a sentence each."""
 
     real: Trials
     sim: Trials
     model: Model | None
     facts: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
+    checked: tuple[str, ...] = ()
 
 
 @shown
@@ -161,6 +164,7 @@ def load_sides(
     complaints.check()
     assert real_read is not None and real_bags is not None
     notes = (*real_read.report.notes, *(sim_read.report.notes if sim_read else ()))
+    checked = sentences(check_data(loaded, [Play("", real_read.trials, stamped=real_read.stamped)], efforts=False))
     if sim_read is not None:
         _refuse_other_sequence(real_read, sim_read)
     facts = _bag_facts("real", real_bags, real_read)
@@ -186,7 +190,7 @@ def load_sides(
         ("time source", f"{reading.time_source} time"),
         ("sampling", f"{1 / step if step else 0:g} Hz, {samples} samples, gaps up to {reading.max_gap:g} s bridged"),
     ]
-    return Sides(real_read.trials, sim_trials, loaded, tuple(facts), tuple(dict.fromkeys(notes)))
+    return Sides(real_read.trials, sim_trials, loaded, tuple(facts), tuple(dict.fromkeys(notes)), tuple(checked))
 
 
 def load_recorded(

@@ -176,7 +176,7 @@ class Study:
         notes = (*sides.notes, *comparison.notes)
         model = str(self.model) if isinstance(self.model, str | Path) else sides.model.name if sides.model else None
         step = after_comparison(comparison, tuple(map(Path, self.real)), model, self.effects, self.known)
-        return StudyGap(replace(comparison, notes=notes), sides.facts, sides.model, step)
+        return StudyGap(replace(comparison, notes=notes), sides.facts, sides.model, step, sides.checked)
 
     def check(self, progress: bool = True) -> "Check":
         """What the recordings are like and which values and effects they can tell, before anything is fitted.
@@ -200,7 +200,7 @@ class Study:
         recorded = self.recorded
         with rollout_progress("bar" if progress else "none") as show:
             found = diagnose_recorded(recorded, self._options, DiagnosisRun(show, propose=True))
-        return StudyReason(found.diagnosis, recorded, self.real, found.proposal)
+        return StudyReason(found.diagnosis, recorded, self.real, found.proposal, found.checked)
 
     def calibrate(
         self,
@@ -294,12 +294,14 @@ class StudyGap(_InNotebook):
         facts: what was compared, as pairs of name and value.
         model: that was played; None for simulated bags.
         step: what to do next: a sentence and a command, "" where there is none.
+        checked: what the real recordings are like, a sentence each, the serious first.
     """
 
     comparison: Comparison
     facts: tuple[tuple[str, str], ...] = ()
     model: Model | None = None
     step: tuple[str, str] = ("", "")
+    checked: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
@@ -333,7 +335,9 @@ class StudyGap(_InNotebook):
 
         facts, name = [*self.facts, *circumstances()], _name(self.model) or "the simulation"
         with new_folder(Path(folder)) as partial:
-            write_comparison(partial, self.comparison, self.to_json(), name, facts, self.step, Path(folder))
+            write_comparison(
+                partial, self.comparison, self.to_json(), name, facts, self.step, Path(folder), checked=self.checked
+            )
         return Path(folder) / "report.html"
 
     def _print(self, out: Console) -> None:
@@ -357,12 +361,14 @@ class StudyReason(_InNotebook):
         recorded: what was diagnosed.
         real: bags as they were named.
         proposal: where the verdict is "unknown", a law of its own.
+        checked: what the recordings are like and can tell.
     """
 
     diagnosis: "Diagnosis"
     recorded: Recorded
     real: tuple[Path, ...]
     proposal: "Proposal | None" = None
+    checked: "Check | None" = None
 
     @property
     def verdict(self) -> "Verdict":
@@ -404,11 +410,11 @@ class StudyReason(_InNotebook):
 
         refuse_existing(Path(folder))
         name = str(self.recorded.model.path or self.recorded.model.name)
-        found = Findings(self.diagnosis, self.recorded, self.proposal)
+        found = Findings(self.diagnosis, self.recorded, self.proposal, self.checked)
         return write_reason(found, Path(folder), self.real, name).report
 
     def _print(self, out: Console) -> None:
-        print_verdict(self.verdict, self.recorded.notes, out)
+        print_verdict(self.verdict, self.recorded.notes, out, self.recorded.model.rig.position_unit)
         if self.proposal is not None:
             out.print(self.proposal.sentence, soft_wrap=True, markup=False)
 

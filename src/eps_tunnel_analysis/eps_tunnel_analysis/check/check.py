@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from eps_tunnel_analysis.check.data import Finding, check_data
+from eps_tunnel_analysis.check.data import Finding, check_data, sentences
 from eps_tunnel_analysis.check.excitation import Answer, Excited, excitation
 from eps_tunnel_analysis.outputs import shown_number
 from eps_tunnel_analysis.simulated import Play
@@ -38,8 +38,7 @@ class Check:
 
     def lines(self) -> list[str]:
         """In words, the serious first."""
-        ordered = sorted(self.data, key=lambda finding: not finding.serious)
-        found = [f"{'! ' if finding.serious else ''}{finding.sentence}" for finding in ordered]
+        found = sentences(self.data)
         found += [note for note in self.notes if note not in found]
         for axis in dict.fromkeys(one.axis for one in self.excited):
             found += self._told(axis, "value", "Values")

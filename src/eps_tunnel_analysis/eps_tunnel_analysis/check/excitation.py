@@ -85,7 +85,8 @@ def excitation(
         lib.model, names, [play_evidence(lib.model, p, signals) for p in chosen], signals, STEP, nthread
     )
     infos = lib.model.parameters()
-    start = np.array([infos[name].value for name in names])
+    # A sledge in an MJCF may have no armature, which is less than a fit may try.
+    start = np.array([np.clip(infos[name].value, infos[name].low, infos[name].high) for name in names])
     rows = [start, *(_moved(start, i, infos[name]) for i, name in enumerate(base))]
     rows += [_switched_on(start, names, candidate, lib.model) for candidate in lib.candidates]
     if progress:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.check.data import check_data, sentences
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.repeats import repeats
 from eps_tunnel_analysis.loop.rig import Bags
@@ -15,6 +16,7 @@ from eps_tunnel_analysis.outputs import circumstances, new_folder, versions
 from eps_tunnel_analysis.recording import Recording, read, to_trials
 from eps_tunnel_analysis.report.next_step import after_comparison
 from eps_tunnel_analysis.report.reports import write_comparison
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import Rig
 
@@ -89,7 +91,8 @@ def write_gap(gap: Gap, bags: Bags, folder: Path, name: str, model: str) -> None
     content["notes"] = list(gap.notes)
     with new_folder(folder) as partial:
         step = after_comparison(gap.comparison, bags.real, model, None)
-        write_comparison(partial, gap.comparison, content, name, facts, step, folder, pictures=False)
+        checked = sentences(check_data(None, [Play("", gap.comparison.real)]))
+        write_comparison(partial, gap.comparison, content, name, facts, step, folder, pictures=False, checked=checked)
 
 
 def _throughout(recordings: Sequence[Recording], rig: Rig) -> tuple[list[str], list[str]]:

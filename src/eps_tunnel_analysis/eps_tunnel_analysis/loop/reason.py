@@ -97,19 +97,13 @@ def diagnose_bags(
     """Diagnoses a model, by name or path, and writes the result into a new folder.
 
     Args:
-        show_check: called with the check of the recordings before anything is fitted; without it none is made.
+        show_check: called with the check of the recordings before anything is fitted.
 
     Raises:
         InputError: what `diagnose` raises, bags that cannot be read, or `folder` exists.
     """
     refuse_existing(folder)
-    recorded = options.recorded(model, real)
-    checked = None
-    if show_check:
-        checked = check_recorded(recorded, options, run.progress)
-        show_check(checked)
-    found = replace(diagnose_recorded(recorded, options, run), checked=checked)
-    return write_reason(found, folder, real, model)
+    return write_reason(diagnose_recorded(options.recorded(model, real), options, run, show_check), folder, real, model)
 
 
 def check_recorded(recorded: Recorded, options: DiagnosisOptions, progress: RolloutProgress | None = None) -> Check:
@@ -117,8 +111,16 @@ def check_recorded(recorded: Recorded, options: DiagnosisOptions, progress: Roll
     return check(recorded.model, recorded.plays, recorded.notes, options.candidates, options.threads, progress)
 
 
-def diagnose_recorded(recorded: Recorded, options: DiagnosisOptions, run: DiagnosisRun) -> Findings:
-    """Diagnoses what was read by `options.recorded`; errors as in `diagnose_bags`."""
+def diagnose_recorded(
+    recorded: Recorded,
+    options: DiagnosisOptions,
+    run: DiagnosisRun,
+    show_check: Callable[[Check], None] | None = None,
+) -> Findings:
+    """Checks and diagnoses what was read by `options.recorded`; arguments and errors as in `diagnose_bags`."""
+    checked = check_recorded(recorded, options, run.progress)
+    if show_check:
+        show_check(checked)
     diagnosis = diagnose(
         within(recorded.model, run.limit) if run.limit else recorded.model, recorded.plays, options.seed,
         options.candidates, options.threads, run.progress, levels=run.levels, held=recorded.held, spread=run.spread,
@@ -126,7 +128,7 @@ def diagnose_recorded(recorded: Recorded, options: DiagnosisOptions, run: Diagno
     proposal = proposal_of(diagnosis, recorded.plays, options.threads, options.seed) if run.propose else None
     if proposal and recorded.held:
         proposal = confirmed(proposal, recorded.held, options.threads)
-    return Findings(diagnosis, recorded, proposal)
+    return Findings(diagnosis, recorded, proposal, checked)
 
 
 def write_reason(found: Findings, folder: Path, real: Sequence[Path], model: str) -> Reason:

@@ -39,10 +39,11 @@ class Heading:
 
 @dataclass(frozen=True)
 class Points:
-    """A list of sentences."""
+    """A list of sentences; under a title to unfold where it has one."""
 
     kind: ClassVar[str] = "points"
     items: Sequence[str]
+    folded: str = ""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from eps_tunnel_analysis.check.check import Check
 from eps_tunnel_analysis.compare import JOINTLY, Comparison
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.falls import Three
+from eps_tunnel_analysis.fit.named_intervals import intervals_json, named_intervals
 from eps_tunnel_analysis.inputs import Recorded
 from eps_tunnel_analysis.law.proposal import Proposal
 from eps_tunnel_analysis.outputs import circumstances, json_text, plain, shown_share, shown_value, today, versions
@@ -44,7 +45,7 @@ class Findings:
     Attributes:
         recorded: what was diagnosed.
         proposal: where the verdict is "unknown", a law of its own.
-        checked: what the recordings are like and can tell, where that was asked.
+        checked: what the recordings are like and can tell.
     """
 
     diagnosis: Diagnosis
@@ -59,6 +60,7 @@ def compare_report(
     facts: Sequence[tuple[str, str]],
     step: tuple[str, str] = ("", ""),
     at: Path | None = None,
+    checked: Sequence[str] = (),
 ) -> str:
     """The page as HTML, its title the comparison in a sentence.
 
@@ -67,11 +69,23 @@ def compare_report(
         facts: what was compared: bags, hashes, model, versions.
         step: what to do next: a sentence and a command.
         at: the folder in which the page will be found, for links.
+        checked: what the real recordings are like, the serious first.
     """
     trials, seconds = comparison.real.count, comparison.real.time[-1] + comparison.real.step
     subtitle = f"{name} against {_trials(trials)}: {', '.join(comparison.signals)}, {seconds:.1f} s"
-    sections = [at_a_glance(comparison, step), *(section(comparison) for section in SECTIONS), provenance(facts, at)]
+    found = [section(comparison) for section in SECTIONS]
+    sections = [at_a_glance(comparison, step), *_recordings(checked), *found, provenance(facts, at)]
     return render(headline(comparison, name), subtitle, sections)
+
+
+def _recordings(checked: Sequence[str]) -> list[Section]:
+    """What should be seen to, and, to unfold, all else that the check of the recordings says; none without one."""
+    serious = [line.removeprefix("! ") for line in checked if line.startswith("! ")]
+    rest = [line for line in checked if not line.startswith("! ")]
+    blocks: list[Block] = [Points(serious)] if serious else []
+    told = "What else was found" if serious else "Nothing that must be seen to; what was found"
+    blocks += [Points(rest, f"{told}, in {len(rest)} sentence{'s' * (len(rest) > 1)}")] if rest else []
+    return [Section("What the recordings can tell", blocks)] if blocks else []
 
 
 def _trials(count: int) -> str:
@@ -80,7 +94,7 @@ def _trials(count: int) -> str:
 
 def write_comparison(
     folder: Path, comparison: Comparison, content: Mapping[str, Any], name: str, facts: Sequence[tuple[str, str]],
-    step: tuple[str, str], at: Path, pictures: bool = True,
+    step: tuple[str, str], at: Path, pictures: bool = True, checked: Sequence[str] = (),
 ) -> None:  # fmt: skip
     """Writes into an existing, empty folder.
 
@@ -91,8 +105,9 @@ def write_comparison(
         step: what to do next: a sentence and a command.
         at: what the folder will be called.
         pictures: as files, too; they take some seconds.
+        checked: what the real recordings are like, the serious first.
     """
-    page = compare_report(comparison, name, facts, step, at)
+    page = compare_report(comparison, name, facts, step, at, checked)
     (folder / "report.html").write_text(page, encoding="utf-8")
     (folder / "compare.json").write_text(json_text(content), encoding="utf-8")
     _csv(folder / "alikeness.csv", *_over_k(comparison))
@@ -153,6 +168,7 @@ def diagnosis_report(
     last = last_model(diagnosis.verdict) if diagnosis.verdict.verdict == "undecided" else "after"
     sections = [
         at_a_glance(diagnosis.after, step, diagnosis.given, after=last),
+        *_recordings(checked.lines() if checked else ()),
         verdict(diagnosis),
         where_it_fails(diagnosis.before),
         ranking(diagnosis),
@@ -160,7 +176,6 @@ def diagnosis_report(
         *([law(proposal)] if proposal else []),
         what_to_do(diagnosis, add),
         tunnels(diagnosis.after),
-        *([Section("What the recordings can tell", [Points(checked.lines())])] if checked else []),
         provenance(facts, at),
     ]
     return render(diagnosis.verdict.sentence, subtitle, sections)
@@ -236,6 +251,7 @@ def diagnosis_content(diagnosis: Diagnosis, recorded: Recorded) -> dict[str, Any
         "model": recorded.model.name,
         "sources": [[str(path), digest] for path, digest in recorded.bags],
         **diagnosis.verdict.to_json(),
+        "intervals": plain(intervals_json(named_intervals(diagnosis.axes, diagnosis.verdict.effects, diagnosis.model))),
     }
 
 
