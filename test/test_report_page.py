@@ -49,3 +49,28 @@ def test_nothing_is_cut_off_on_any_screen(tmp_path: Path) -> None:
             assert "after moving downwards" in shown.evaluate("document.body.innerText")
             assert shown.evaluate(CUT_OFF) == [], width
         assert not shown.troubles
+
+
+def test_the_legend_reads_from_the_lower_edge_to_the_upper(tmp_path: Path) -> None:
+    program = chromium()
+    if program is None:
+        pytest.skip("needs Chromium or Chrome; name it by $CHROMIUM")
+    (tmp_path / "report.html").write_text(page(), encoding="utf-8")
+    chart = "document.querySelectorAll('.pair .uplot')[1]"
+    with browser(program, tmp_path) as shown:
+        shown.look(1200, 900, dark=False)
+        shown.open((tmp_path / "report.html").as_uri())
+        shown.until(f"{chart} !== undefined")
+        over = f"{chart}.querySelector('.u-over').getBoundingClientRect()"
+        left, top, width = shown.evaluate(f"[{over}.left, {over}.top, {over}.width]")
+        shown.command("Input.dispatchMouseEvent", type="mouseMoved", x=left + 0.5 * width, y=top + 20)
+        rows = f"[...{chart}.querySelectorAll('.u-series')].map((e) => [...e.children].map((c) => c.innerText.trim()))"
+        (_, _), (one, low), (other, high), *_ = shown.until(f"{rows}[1][1] !== '–' && {rows}")
+        assert (one, other) == ("tunnel, from", "to")
+        assert float(low) < float(high)
+        band = shown.evaluate(f"""(() => {{
+            const c = {chart}.querySelector("canvas");
+            const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+            let n = 0; for (let i = 0; i < d.length; i += 4) if (d[i + 3] > 40 && d[i + 3] < 52 && d[i + 2] > 180) n++;
+            return n; }})()""")
+        assert band > 100, "the tunnel is filled"

@@ -16,7 +16,7 @@
 
   const columns = ({ x, lines, band }) => {
     const edge = (side) => band[side].map((d, i) => (d === null || band.centre[i] === null ? null : band.centre[i] + Number(k) * d));
-    return [x, ...(band ? [edge("upper"), edge("lower")] : []), ...lines.map((line) => line.y)];
+    return [x, ...(band ? [edge("lower"), edge("upper")] : []), ...lines.map((line) => line.y)];
   };
 
   const shade = (plot, spans) => {
@@ -61,10 +61,10 @@
       legend: { live: true },
       scales: { x: { time: false }, y: figure.yRange ? { range: figure.yRange } : {} },
       axes: [{ ...axis, label: figure.xLabel, size: 26 }, { ...axis, label: figure.yLabel, size: 52 }],
-      bands: figure.band ? [{ series: [1, 2], fill: colour("tunnel") }] : [],
+      bands: figure.band ? [{ series: [2, 1], fill: colour("tunnel") }] : [],
       series: [
         { label: figure.xLabel, value: (_, v) => shown(v) },
-        ...(figure.band ? [edge(`${figure.band.name}, to`), edge("from")] : []),
+        ...(figure.band ? [edge(`${figure.band.name}, from`), edge("to")] : []),
         ...figure.lines.map((line) => ({
           label: line.name, stroke: colour(line.colour), width: line.width, dash: line.dash ? [4, 4] : undefined, value: (_, v) => shown(v),
           points: { show: line.points || line.width === 0, size: line.width ? 6 : 3, fill: colour(line.colour), stroke: colour(line.colour) },
