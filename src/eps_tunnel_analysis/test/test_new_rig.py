@@ -77,7 +77,7 @@ def test_a_disc_from_tables_to_values(tmp_path: Path) -> None:
     assert "time from column 'time_ms' in ms" in told.stdout
     assert "Effects of axis disc that these commands excite. identifiable: coulomb_friction.disc" in told.stdout
     rig = (tmp_path / "disc" / "rig.yaml").read_text()
-    assert "unit: deg}  # deg: reaches" in rig and "a motor on each driven joint" in rig
+    assert "unit: deg}  # deg: reaches" in rig and "one actuator on each driven joint" in rig
     content = yaml.safe_load(rig)
     assert content["sample_time"] == STEP and content["axes"]["disc"]["limits"] == [-1.6, 1.6]
     assert "unit" not in content["axes"]["disc"]["measured"]["disc_effort"], "an effort in N m is told as such"

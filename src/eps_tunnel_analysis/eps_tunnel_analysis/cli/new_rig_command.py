@@ -18,7 +18,7 @@ examples:
   eps-tunnel new-rig gantry.xml --csv logs/*.csv --match slide=x_axis --out gantry
 
 Joints are matched by name. files in --out: rig.yaml and model.yaml with a reason beside every value; robot.xml where
-the model lacks actuators; bags made of tables. Nothing is fitted yet: calibrate or diagnose does that."""
+joints lack an actuator with a name or have several; bags made of tables. Nothing is fitted yet: calibrate or diagnose does that."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,6 +4,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 import mujoco
@@ -19,31 +20,60 @@ from labyrinth_sim.trials import Array
 
 COMMAND_TOPICS = re.compile(r"(command|cmd|goal|target|desired|reference|action|setpoint)s?$")
 ONE_DEGREE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A compiled MJCF or URDF: its hinge and slide joints by name, and the actuator of each that has one."""
+    """A compiled MJCF or URDF.
+
+    Attributes:
+        joints: hinge and slide joints by name.
+        actuators: joint -> the actuator that drives it, of those that have one.
+        unnamed: joints whose actuator has no name in the file and is given one here.
+        others: joint -> further actuators on it, which would act beside the drive.
+    """
 
     path: Path
     mj: mujoco.MjModel
     joints: tuple[str, ...]
     actuators: Mapping[str, str]
+    unnamed: frozenset[str] = frozenset()
+    others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def read_robot(path: Path) -> Robot:
     """Compiles a model. Raises InputError with MuJoCo's reason."""
     if not path.is_file():
         raise InputError(f"{path}: no such file. Name an MJCF (.xml) or a URDF (.urdf).")
-    mj = compile_spec(read_spec(path), path)
+    spec = read_spec(path)
+    given = name_actuators(spec)
+    mj = compile_spec(spec, path)
     joints = tuple(mj.joint(i).name for i in range(mj.njnt) if int(mj.jnt_type[i]) in ONE_DEGREE and mj.joint(i).name)
-    actuators: dict[str, str] = {}
-    for i in range(mj.nu):
-        if int(mj.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_JOINT) and mj.actuator(i).name:
-            actuators.setdefault(mj.joint(int(mj.actuator_trnid[i, 0])).name, mj.actuator(i).name)
+    on: dict[str, list[str]] = {}
+    for actuator in sorted(spec.actuators, key=lambda one: one.name in given):  # names of the file's own count first
+        if actuator.trntype in ON_JOINT:
+            on.setdefault(actuator.target, []).append(actuator.name)
     if not joints:
         raise InputError(f"{path}: it has no named hinge or slide joint, so there is nothing to drive.")
-    return Robot(path, mj, joints, actuators)
+    return Robot(
+        path, mj, joints, {joint: names[0] for joint, names in on.items()},
+        frozenset(joint for joint, names in on.items() if names[0] in given),
+        {joint: tuple(names[1:]) for joint, names in on.items() if len(names) > 1},
+    )  # fmt: skip
+
+
+def name_actuators(spec: mujoco.MjSpec) -> frozenset[str]:
+    """Gives joints' actuators without a name that of their joint; returns the new names."""
+    taken = {actuator.name for actuator in spec.actuators}
+    given = set()
+    for actuator in spec.actuators:
+        if actuator.trntype in ON_JOINT and not actuator.name:
+            names = (actuator.target if i == 1 else f"{actuator.target}_{i}" for i in count(1))
+            actuator.name = next(name for name in names if name not in taken)
+            taken.add(actuator.name)
+            given.add(actuator.name)
+    return frozenset(given)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,19 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.noise import resolution
 from eps_tunnel_analysis.new_rig.drive import DriveProposal, Proposed, effort_unit, inertia_of, propose_drive
-from eps_tunnel_analysis.new_rig.joints import Match, Robot, Sampled, Topics, all_of, find_topics, match_joints, sample
+from eps_tunnel_analysis.new_rig.joints import (
+    Match,
+    Robot,
+    Sampled,
+    Topics,
+    all_of,
+    find_topics,
+    match_joints,
+    name_actuators,
+    sample,
+)
 from eps_tunnel_analysis.recording import Recording
-from labyrinth_sim.asset import read_spec
+from labyrinth_sim.asset import compile_spec, read_spec
 from labyrinth_sim.effect import slide_unit
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.quantities import EFFORT, SCALES
@@ -25,6 +35,7 @@ DEGREES = 4.0 * np.pi  # a reach beyond is hardly rad
 DEGREES_MOST = 400.0
 BEYOND = 2.0  # of a joint's range in the model; a reach beyond is hardly rad
 LEAST_ARMATURE = 1e-5  # kg m^2 (kg); a joint with less diverges under any stiff drive
+OFF_GROUP = 30  # MuJoCo's last group of actuators, which robot.xml switches off
 MARGIN = 0.1  # of the recorded range, beyond which the allowed targets lie
 GAINS_APART = 0.05  # relative difference of gains that recordings were made with
 POSITION_UNITS = {"rad": 1.0, "deg": TURN / 360.0, "m": 1.0, "mm": 1e-3}
@@ -71,7 +82,8 @@ def new_rig(
     position: str | None = None,
     effort: str | None = None,
 ) -> NewRig:
-    """Writes rig.yaml and model.yaml into a folder, and robot.xml where the model lacks actuators.
+    """Writes rig.yaml and model.yaml into a folder, and robot.xml where a joint lacks an actuator with a name or has
+    several.
 
     Args:
         match: joint of the model -> recorded name.
@@ -96,11 +108,11 @@ def new_rig(
     for m in matches:
         samples = [sample(r, topics, m, step) for r in recordings]
         axes.append(_axis(robot, m, samples, recordings, topics, position, effort))
-    mjcf = _robot_file(robot, [a.match.joint for a in axes], folder)
+    mjcf, changed = _robot_file(robot, [a.match.joint for a in axes], folder)
     axes = [_with_actuator(a, robot) for a in axes]
     write_new(folder / "rig.yaml", _rig_text(robot, mjcf, axes, step, topics, recordings))
     write_new(folder / "model.yaml", _model_text(robot, axes, recordings))
-    notes = [note for a in axes for note in _found(a)]
+    notes = [*(note for a in axes for note in _found(a)), *changed]
     left = [j for j in robot.joints if j not in [a.match.joint for a in axes]]
     notes += [f"Not driven here, as no recording commands it: {', '.join(left)}."] if left else []
     return NewRig(folder / "model.yaml", tuple(notes), tuple(_known(axes, recordings)))
@@ -200,24 +212,42 @@ def _position_unit(seen: np.ndarray, slides: bool, bounds: np.ndarray | None) ->
     return "rad", f"reaches {reach:.3g}; ROS has radians{doubt}"
 
 
-def _robot_file(robot: Robot, joints: Sequence[str], folder: Path) -> Path:
-    """The file that the rig names: the given one, or robot.xml with the actuators that it lacks."""
+def _robot_file(robot: Robot, joints: Sequence[str], folder: Path) -> tuple[Path, list[str]]:
+    """The file that the rig names: the given one, or robot.xml with one actuator on each driven joint; and sentences
+    on what differs from the given one."""
     missing = [joint for joint in joints if joint not in robot.actuators]
-    if not missing:
-        return robot.path.resolve()
+    unnamed = [joint for joint in joints if joint in robot.unnamed]
+    others = {joint: robot.others[joint] for joint in joints if joint in robot.others}
+    if not missing and not unnamed and not others:
+        return robot.path.resolve(), []
     spec = read_spec(robot.path)
+    name_actuators(spec)
     home = robot.path.resolve().parent
     for place, files in (("meshdir", spec.meshes), ("texturedir", spec.textures)):
         if files:  # the new file lies elsewhere
             setattr(spec, place, str((home / getattr(spec, place)).resolve()))
     for joint in missing:
         spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    for name in (name for names in others.values() for name in names):
+        spec.actuator(name).group = OFF_GROUP
+        spec.option.disableactuator |= 1 << OFF_GROUP
     if robot.path.suffix == ".urdf":
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.compile()
+    compile_spec(spec, robot.path)
     file = folder / "robot.xml"
     write_new(file, spec.to_xml())
-    return file
+    notes = [
+        f"The actuator of joint {joint} has no name in {robot.path.name}; in robot.xml it is called "
+        f"{robot.actuators[joint]}."
+        for joint in unnamed
+    ]
+    notes += [
+        f"Joint {joint} has more than one actuator. Its drive acts by {robot.actuators[joint]}; {', '.join(names)} "
+        f"would act beside it and is switched off in robot.xml (group {OFF_GROUP}, which its option "
+        "'actuatorgroupdisable' names)."
+        for joint, names in others.items()
+    ]
+    return file, notes
 
 
 def _with_actuator(axis: AxisProposal, robot: Robot) -> AxisProposal:
@@ -235,7 +265,7 @@ def _rig_text(
         f"# Made by eps-tunnel new-rig {source}. Change what you know better.",
         f"name: {_yaml(robot.path.stem)}",
         f"mjcf: {_yaml(inside)}"
-        + ("" if inside != "robot.xml" else f"  # {robot.path.name} with a motor on each driven joint"),
+        + ("" if inside != "robot.xml" else f"  # {robot.path.name} with one actuator on each driven joint"),
         f"sample_time: {step:g}  # s, median time between measurements",
     ]
     if topics.entries:
