@@ -20,11 +20,15 @@ CUT_OFF = """[...document.querySelectorAll("body *")].filter((e) => e.getBoundin
     (e.matches(".scroll") && e.scrollWidth > e.clientWidth + 1)).map((e) => `${e.tagName}.${e.className}`)"""
 
 
-def page() -> str:
-    """A comparison that fails in phases of long names, on signals of long names; its next command is long, too."""
+def page(spread: float = 1e-4) -> str:
+    """A comparison that fails in phases of long names, on signals of long names; its next command is long, too.
+
+    Args:
+        spread: rad, by which trials differ.
+    """
     time = np.arange(1200) * 0.01
     command = 0.1 * np.round(np.sin(2.0 * time)) * (time > 2.0) + 0.05 * np.sin(7.0 * time) * (time > 8.0)
-    noise = np.random.default_rng(2).normal(0.0, 1e-4, (3, 1200, 2))
+    noise = np.random.default_rng(2).normal(0.0, spread, (3, 1200, 2))
     real = Trials(
         time=time, signals=("shoulder_left", "elbow_left"), units=("rad", "rad"),
         values=noise + command[None, :, None], command_channels=("shoulder_left", "elbow_left"),
@@ -55,7 +59,7 @@ def test_the_legend_reads_from_the_lower_edge_to_the_upper(tmp_path: Path) -> No
     program = chromium()
     if program is None:
         pytest.skip("needs Chromium or Chrome; name it by $CHROMIUM")
-    (tmp_path / "report.html").write_text(page(), encoding="utf-8")
+    (tmp_path / "report.html").write_text(page(0.01), encoding="utf-8")
     chart = "document.querySelectorAll('.pair .uplot')[1]"
     with browser(program, tmp_path) as shown:
         shown.look(1200, 900, dark=False)
