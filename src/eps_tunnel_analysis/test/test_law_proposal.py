@@ -10,9 +10,10 @@ import pytest
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law.added_force import Playing
 from eps_tunnel_analysis.law.depends import Design
+from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, dictionary, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
-from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, confirmed, declared, effect_file, propose
+from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, confirmed, propose
 from eps_tunnel_analysis.outputs import json_text, plain
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import render

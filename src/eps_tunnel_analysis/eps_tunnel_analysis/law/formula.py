@@ -3,10 +3,12 @@
 was left out.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.added_force import Motion
@@ -16,17 +18,27 @@ from labyrinth_sim.trials import Array
 MOST_TERMS = 4
 SIMPLER = 0.01  # of the misfit, that one more number in a term must explain
 SHAPES = 9  # values tried of a speed or time that shapes a term
+MOST_SHARE = 0.45  # of the load, as friction: just below 0.5, where a gear locks itself
 SURE = 0.0  # lower end of the interval of what one more term explains
 
 
 @dataclass(frozen=True)
 class Number:
-    """One number of a term: `times` says how far its bounds lie from the fitted value; 0 bounds a phase."""
+    """One number of a term.
+
+    Attributes:
+        switches: whether the term vanishes where it is 0.
+        times: how far its bounds lie from the fitted value; 0 bounds a phase.
+        signed: whether it keeps the sign that it was fitted with.
+        most: beyond which no such effect goes.
+    """
 
     name: str
     unit: str
     switches: bool
     times: float
+    signed: bool = False
+    most: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -36,12 +48,14 @@ class Term:
     Attributes:
         name: prefix of its parameters.
         acts: "torque", "friction", "damping" or "sensor".
-        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`.
+        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, and
+            `{followed}`, which follows what `follows` names.
         equation: the same for people.
         numbers: those of the formula, amplitudes first.
         shape: values of the number that is not linear; empty where all are.
         columns: (K, 1 or 2) of a motion and the shape's value; of 2, sine and cosine.
         needs: "memory" for since and time, "other_axis".
+        follows: "speed" or "angle", that a first-order memory follows, with the time constant `after`; "" for none.
     """
 
     name: str
@@ -52,6 +66,7 @@ class Term:
     shape: tuple[float, ...]
     columns: Callable[[Motion, float], Array]
     needs: str = ""
+    follows: str = ""
 
 
 @dataclass(frozen=True)
@@ -80,6 +95,12 @@ def _waves(angle: Array, period: float, factor: Array | float = 1.0) -> Array:
     return np.column_stack([factor * np.sin(turn), factor * np.cos(turn)])
 
 
+def followed(motion: Motion, values: Array, after: float) -> Array:
+    """(K,) a first-order memory of values (K,) over a motion's steps, with time constant `after` (s)."""
+    keeps = math.exp(-(motion.time[1] - motion.time[0]) / after)
+    return np.asarray(values[0] + lfilter([1.0 - keeps], [1.0, -keeps], values - values[0]))
+
+
 def dictionary(design: Design) -> list[Term]:
     """Every term that may act as a force on this axis."""
     motions = [p.motion for p in design.plays]
@@ -89,7 +110,7 @@ def dictionary(design: Design) -> list[Term]:
     speeds = tuple(float(v) for v in np.geomspace(0.003, 0.5, SHAPES) * fast)
     times = tuple(float(t) for t in np.geomspace(0.02, 1.0, SHAPES))
     torque, per_rad = "N m", "N m/rad"
-    size = Number("size", torque, True, 3.0)
+    size, lag = Number("size", torque, True, 3.0), Number("after", "s", False, 10.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
     terms = [
         Term("constant", "torque", "{size}", "T", (size,), (), lambda m, _: _column(np.ones_like(m.time))),
@@ -105,19 +126,27 @@ def dictionary(design: Design) -> list[Term]:
         Term("stribeck", "friction", "{size} * np.exp(-((speed / {slow}) ** 2))",
              "F exp(-(speed / v)^2) sign(speed)", (size, Number("slow", "rad/s", False, 10.0)), speeds,
              lambda m, v: _column(moving(m) * np.exp(-((m.speed / v) ** 2)))),
-        Term("viscous", "damping", "{damping}", "B speed", (Number("damping", "N m s/rad", True, 3.0),), (),
+        Term("viscous", "damping", "{damping}", "B speed", (Number("damping", "N m s/rad", True, 3.0, True),), (),
              lambda m, _: _column(-m.speed)),
         Term("drag", "damping", "{size} * np.abs(speed)", "C speed |speed|",
-             (Number("size", "N m s^2/rad^2", True, 3.0),), (), lambda m, _: _column(-m.speed * np.abs(m.speed))),
-        Term("load", "friction", "{share} * carried", "mu |load| sign(speed)", (Number("share", "1", True, 3.0),), (),
-             lambda m, _: _column(moving(m) * m.load)),
+             (Number("size", "N m s^2/rad^2", True, 3.0, True),), (), lambda m, _: _column(-m.speed * np.abs(m.speed))),
+        Term("uneven", "torque", "-{damping} * np.abs(speed)", "D |speed|",
+             (Number("damping", "N m s/rad", True, 3.0),), (), lambda m, _: _column(-np.abs(m.speed))),
+        Term("trailing", "torque", "-{damping} * {followed}", "B speed, followed with T",
+             (Number("damping", "N m s/rad", True, 3.0, True), lag), times,
+             lambda m, t: _column(-followed(m, m.speed, t)), "", "speed"),
+        Term("creeping", "torque", "-{stiffness} * {followed}", "k angle, followed with T",
+             (Number("stiffness", per_rad, True, 3.0, True), lag), times,
+             lambda m, t: _column(-followed(m, m.angle, t)), "", "angle"),
+        Term("load", "friction", "{share} * carried", "mu |load| sign(speed)",
+             (Number("share", "1", True, 3.0, True, MOST_SHARE),), (), lambda m, _: _column(moving(m) * m.load)),
         Term("tight", "friction", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
              "F sin(2 pi angle / L + phase) sign(speed)", wave, waves, lambda m, p: _waves(m.angle, p, moving(m))),
         Term("fading", "friction", "{size} * np.exp(-since / {after})",
-             "F exp(-(time since reversal) / T) sign(speed)", (size, Number("after", "s", False, 10.0)), times,
+             "F exp(-(time since reversal) / T) sign(speed)", (size, lag), times,
              lambda m, t: _column(-m.direction * np.exp(-m.since / t)), "memory"),
         Term("warming", "friction", "{size} * np.exp(-time / {after})", "F exp(-time / T) sign(speed)",
-             (size, Number("after", "s", False, 10.0)), tuple(float(t) for t in np.array([0.2, 0.5, 1.0, 2.0]) * long),
+             (size, lag), tuple(float(t) for t in np.array([0.2, 0.5, 1.0, 2.0]) * long),
              lambda m, t: _column(moving(m) * np.exp(-m.time / t)), "memory"),
     ]  # fmt: skip
     if all(m.other.size for m in motions):

@@ -4,7 +4,6 @@
 Both are refitted in whole roll-outs together with the base values, and judged on stretches of time that were left out.
 """
 
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidat
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.added_force import visited
 from eps_tunnel_analysis.law.depends import Depends, Design, Predictor, depends, knots_of, traced, variables
+from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, prefixes, seen_mark
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formula, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
 from eps_tunnel_analysis.law.refit import floors_on, quick_bases, thorough_bases, worst_on
@@ -29,16 +29,13 @@ from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
 from labyrinth_sim.effect import Effect, effects
 from labyrinth_sim.model import Model, save_model
-from labyrinth_sim.registry import Registry
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.shown import shown
 
-NAME = "proposed_effect"
 ROUNDS = 6
 ENOUGH = 2.0  # floors where left out: a formula that leaves no more needs no curve beside it
 AS_GOOD = 1.2  # times the floors that the curve leaves where left out: a formula that leaves no more is preferred
 FALLS = 0.7  # of the base's floors where left out; what leaves more is not proposed
-SIGNIFICANT = 3  # figures of a typical value in the file
 CONFIRMED = 0.5  # of what a model leaves of another command beyond noise: a law that holds takes away as much
 
 
@@ -232,7 +229,8 @@ def propose(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 
     form = " + ".join(c.term.equation for c in law.terms)
     if kind == "formula":
         law = replace(law, terms=tuple(_refined(law.terms, refit.values)))
-        text = effect_file(law.terms, sensor is not None)
+        mark = seen_mark(model, declared(effect_file(law.terms, sensor is not None)), first.place, plays[0])
+        text = effect_file(law.terms, sensor is not None, mark)
         found = _with_period(found, law, ratios(model.rig, part.name))
     return replace(
         bare, kind=kind, effect=name, text=text if kind == "formula" else "",
@@ -336,162 +334,3 @@ def _refitted(
 
 def _with(model: Model, own: Candidate, part: AxisPart, fitted: Mapping[str, float]) -> Model:
     return model.with_values({n: v for n, v in fitted.items() if n in (*own.parameters, *part.base)}, "proposed")
-
-
-# ---- the file
-
-
-def prefixes(terms: Sequence[Chosen]) -> list[str]:
-    """A prefix for each term's parameters: its name, numbered where it occurs again."""
-    found: list[str] = []
-    for chosen in terms:
-        name = chosen.term.name
-        found.append(name if name not in found else f"{name}{1 + sum(f.startswith(name) for f in found)}")
-    return found
-
-
-SHOWS = {"torque": "by_angle", "friction": "loop", "damping": "passing", "sensor": "by_angle"}
-MARKS = {
-    "by_angle": "The axis misses each angle by an amount of its own.",
-    "loop": "The axis stops short of its target by an amount that depends on the side from which it came.",
-    "passing": "The axis trails while it moves and is right at rest.",
-    "coupled": "This axis moves where only the other one is commanded.",
-}
-MISTAKEN = {
-    "torque": ("gravity_load", "return_spring", "positioning_error"),
-    "friction": ("coulomb_friction", "load_friction", "stribeck_friction"),
-    "damping": ("viscous_friction", "supply_sag"),
-    "sensor": ("sensor_gain", "sensor_bias"),
-}
-
-
-def effect_file(terms: Sequence[Chosen], sensor: bool) -> str:
-    """The text of a file that declares an effect with these terms."""
-    names = prefixes(terms)
-    acts = [c.term.acts for c in terms]
-    needs = {c.term.needs for c in terms}
-    code = {
-        kind: [_code(c, name) for c, name in zip(terms, names, strict=True) if c.term.acts == kind] for kind in acts
-    }
-    parameters = [line for c, name in zip(terms, names, strict=True) for line in _parameters(c, name)]
-    equation = " + ".join(c.term.equation for c in terms)
-    shows = "coupled" if needs == {"other_axis"} and acts[0] == "torque" else SHOWS[acts[0]]
-    touches = tuple({"friction": "dof_frictionloss", "damping": "dof_damping"}[a] for a in dict.fromkeys(acts)
-                    if a in ("friction", "damping"))  # fmt: skip
-    own = [f"{name}_{n.name}" for c, name in zip(terms, names, strict=True) for n in c.term.numbers]
-    body = _measure(code["sensor"], own) if sensor else _step(code, needs, own)
-    result = "angle' = angle + " if sensor else "torque = "
-    imports = (
-        "import numpy as np\n\nfrom labyrinth_sim.effect import Effect, Parameter, Values\n"
-        "from labyrinth_sim.filters import Map\nfrom labyrinth_sim.site import Site\n"
-        "from labyrinth_sim.trials import Array\n"
-        if sensor
-        else "from labyrinth_sim.effect import Effect, Parameter\nfrom labyrinth_sim.law import law, state\n"
-    )
-    if "math." in body:
-        imports = f"import math\n\n{imports}"
-    lines = [
-        "# SPDX-License-Identifier: Apache-2.0",
-        '"""An effect that was found in recordings and not confirmed yet: say what it is, and give it a name."""',
-        "",
-        imports,
-        "",
-        body,
-        "",
-        "EFFECT = Effect(",
-        f'    name="{NAME}",',
-        f'    title="Found: {equation}",',
-        f'    physics="Not known yet; {"a sensor is off" if sensor else "a force acts"} by this formula, found in '
-        'recordings.",',
-        f'    equation="{result}{equation}",',
-        "    parameters=(",
-        *parameters,
-        "    ),",
-        f'    stage="{"measurement" if sensor else "force"}",',
-        f'    mark="{MARKS[shows]}",',
-        f'    shows="{shows}",',
-        f"    confused_with={MISTAKEN[acts[0]]!r},".replace("'", '"'),
-        '    separated_by="Play another command: what is a law there as well is one.",',
-    ]
-    if sensor:
-        lines += ['    where="signal",', "    measure=measure,"]
-    else:
-        if "other_axis" in needs:
-            lines += ['    needs=("other_axis",),', "    couples=True,"]
-        if touches:
-            lines.append(f"    touches={touches!r},".replace("'", '"'))
-        lines.append("    step=step,")
-    return "\n".join([*lines, ")", ""])
-
-
-def _code(chosen: Chosen, prefix: str) -> str:
-    places = {n.name: f"{prefix}_{n.name}" for n in chosen.term.numbers}
-    text = chosen.term.formula.format(**places)
-    return text if chosen.term.acts == "sensor" else text.replace("np.abs", "abs").replace("np.", "math.")
-
-
-def _parameters(chosen: Chosen, prefix: str) -> list[str]:
-    lines = []
-    for number in chosen.term.numbers:
-        value = float(f"{chosen.values[number.name]:.{SIGNIFICANT}g}")
-        if not number.times:
-            low, high, why = -3.2, 3.2, "a full period"
-        elif number.switches:
-            most = float(f"{number.times * max(abs(value), 1e-9):.2g}")
-            low, high, why = -most, most, "three times what was found, of either sign"
-        else:
-            low, high = (float(f"{v:.3g}") for v in (value / number.times, value * number.times))
-            why = f"found, within a factor of {number.times:g}"
-        off = "0.0" if number.switches else "None"
-        lines.append(
-            f'        Parameter("{prefix}_{number.name}", "{number.unit}", {low!r}, {high!r}, {off}, {value!r}, '
-            f'"{why}", "bounds"),'
-        )
-    return lines
-
-
-def _step(code: Mapping[str, Sequence[str]], needs: set[str], names: Sequence[str]) -> str:
-    every = " ".join(text for texts in code.values() for text in texts)
-    lines = ["@law", "def step(raw: int) -> None:", "    s = state(raw)"]
-    lines += [f"    {name} = s.values[{i}]" for i, name in enumerate(names)]
-    if "angle" in every:
-        lines.append("    angle = s.qpos[s.angle]")
-    if "damping" in code or "speed" in every or "memory" in needs:
-        lines.append("    speed = s.qvel[s.dof]")
-    if "other" in every:
-        lines.append("    other = s.qpos[s.drives[1 if s.channel == 0 else 0, 2]]")
-    if "carried" in every:
-        lines.append("    carried = abs(s.actuator[s.dof] - s.passive[s.dof] + s.bias[s.dof])")
-    if "memory" in needs:
-        lines += [
-            "    time, direction = s.memory[0], s.memory[2]",
-            "    now = math.copysign(1.0, speed) if abs(speed) > 1e-3 else direction",
-            "    since = 0.0 if now != direction else s.memory[1] + s.step",
-            "    s.memory[0], s.memory[1], s.memory[2] = time + s.step, since, now",
-        ]
-    if "torque" in code:
-        lines.append(f"    s.applied[s.dof] += {' + '.join(code['torque'])}")
-    if "friction" in code:
-        lines.append(f"    s.frictionloss[s.dof] += max({' + '.join(code['friction'])}, 0.0)")
-    if "damping" in code:
-        lines.append(f"    damping = {' + '.join(code['damping'])}")
-        lines.append("    s.damping[s.dof] += max(damping, 0.0)")
-        lines.append("    s.applied[s.dof] -= min(damping, 0.0) * speed")
-    return "\n".join([*lines, ""])
-
-
-def _measure(code: Sequence[str], names: Sequence[str]) -> str:
-    lines = ["def measure(values: Values, site: Site, step: float, start: Array) -> Map:"]
-    lines += [f'    {name} = values["{name}"][:, None]' for name in names]
-    return "\n".join([*lines, f"    return Map(lambda angle: angle + {' + '.join(code)})", ""])
-
-
-_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []  # of files that compiled laws came from, kept as long as they are
-
-
-def declared(text: str) -> Effect:
-    """The effect that the text of a file declares."""
-    _FOLDERS.append(tempfile.TemporaryDirectory())
-    folder = Path(_FOLDERS[-1].name)
-    (folder / f"{NAME}.py").write_text(text, encoding="utf-8")
-    return Registry.load(folder).effect(NAME)

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The effect file of a formula: its terms as parameters with units and bounds, a mark, and a compiled law."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from eps_tunnel_analysis.law.formula import Chosen
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.effect import Effect
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.marks import MARKS, Pair
+from labyrinth_sim.model import Model
+from labyrinth_sim.registry import Registry
+from labyrinth_sim.simulate import simulate
+
+NAME = "proposed_effect"
+SIGNIFICANT = 3  # figures of a typical value in the file
+FIRST_SLOT = 3  # of a law's memory, that holds what a term follows; before it are time, time since reversal, direction
+SHOWS = {"torque": "by_angle", "friction": "loop", "damping": "passing", "sensor": "by_angle"}
+LOOKS = {
+    "late": "The axis trails its command by a constant time.",
+    "offset": "The axis is off by a constant.",
+    "scaled": "The axis moves by a constant factor too far or too little.",
+    "loop": "The axis stops short of its target by an amount that depends on the side from which it came.",
+    "one_sided": "The axis is off by one amount going up and by another going down.",
+    "by_angle": "The axis misses each angle by an amount of its own.",
+    "passing": "The axis trails while it moves and is right at rest.",
+    "stairs": "The axis stands still at times while it should move.",
+    "adrift": "The axis moves before its command does.",
+    "coupled": "This axis moves where only the other one is commanded.",
+    "calmer": "The axis travels a shorter way.",
+    "livelier": "The axis travels a longer way.",
+}
+"""Mark -> what it looks like, for people."""
+MISTAKEN = {
+    "torque": ("gravity_load", "return_spring", "positioning_error"),
+    "friction": ("coulomb_friction", "load_friction", "stribeck_friction"),
+    "damping": ("viscous_friction", "supply_sag"),
+    "sensor": ("sensor_gain", "sensor_bias"),
+}
+
+
+def prefixes(terms: Sequence[Chosen]) -> list[str]:
+    """A prefix for each term's parameters: its name, numbered where it occurs again."""
+    found: list[str] = []
+    for chosen in terms:
+        name = chosen.term.name
+        found.append(name if name not in found else f"{name}{1 + sum(f.startswith(name) for f in found)}")
+    return found
+
+
+def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:
+    """The text of a file that declares an effect with these terms.
+
+    Args:
+        shows: its mark, as `seen_mark` finds it; by default what terms like the first one mostly show.
+    """
+    names = prefixes(terms)
+    acts = [c.term.acts for c in terms]
+    needs = {c.term.needs for c in terms}
+    code = {
+        kind: [_code(c, name) for c, name in zip(terms, names, strict=True) if c.term.acts == kind] for kind in acts
+    }
+    parameters = [line for c, name in zip(terms, names, strict=True) for line in _parameters(c, name)]
+    equation = " + ".join(c.term.equation for c in terms)
+    if not shows:
+        shows = "coupled" if needs == {"other_axis"} and acts[0] == "torque" else SHOWS[acts[0]]
+    touches = tuple({"friction": "dof_frictionloss", "damping": "dof_damping"}[a] for a in dict.fromkeys(acts)
+                    if a in ("friction", "damping"))  # fmt: skip
+    own = [f"{name}_{n.name}" for c, name in zip(terms, names, strict=True) for n in c.term.numbers]
+    follows = {name: c.term.follows for c, name in zip(terms, names, strict=True) if c.term.follows}
+    body = _measure(code["sensor"], own) if sensor else _step(code, needs, own, follows)
+    result = "angle' = angle + " if sensor else "torque = "
+    imports = (
+        "import numpy as np\n\nfrom labyrinth_sim.effect import Effect, Parameter, Values\n"
+        "from labyrinth_sim.filters import Map\nfrom labyrinth_sim.site import Site\n"
+        "from labyrinth_sim.trials import Array\n"
+        if sensor
+        else "from labyrinth_sim.effect import Effect, Parameter\nfrom labyrinth_sim.law import law, state\n"
+    )
+    if "math." in body:
+        imports = f"import math\n\n{imports}"
+    lines = [
+        "# SPDX-License-Identifier: Apache-2.0",
+        '"""An effect that was found in recordings and not confirmed yet: say what it is, and give it a name."""',
+        "",
+        imports,
+        "",
+        body,
+        "",
+        "EFFECT = Effect(",
+        f'    name="{NAME}",',
+        f'    title="Found: {equation}",',
+        f'    physics="Not known yet; {"a sensor is off" if sensor else "a force acts"} by this formula, found in '
+        'recordings.",',
+        f'    equation="{result}{equation}",',
+        "    parameters=(",
+        *parameters,
+        "    ),",
+        f'    stage="{"measurement" if sensor else "force"}",',
+        f'    mark="{LOOKS[shows]}",',
+        f'    shows="{shows}",',
+        f"    confused_with={MISTAKEN[acts[0]]!r},".replace("'", '"'),
+        '    separated_by="Play another command: what is a law there as well is one.",',
+    ]
+    if sensor:
+        lines += ['    where="signal",', "    measure=measure,"]
+    else:
+        if "other_axis" in needs:
+            lines += ['    needs=("other_axis",),', "    couples=True,"]
+        if touches:
+            lines.append(f"    touches={touches!r},".replace("'", '"'))
+        lines.append("    step=step,")
+    return "\n".join([*lines, ")", ""])
+
+
+def _code(chosen: Chosen, prefix: str) -> str:
+    places = {n.name: f"{prefix}_{n.name}" for n in chosen.term.numbers} | {"followed": f"{prefix}_followed"}
+    text = chosen.term.formula.format(**places)
+    return text if chosen.term.acts == "sensor" else text.replace("np.abs", "abs").replace("np.", "math.")
+
+
+def _parameters(chosen: Chosen, prefix: str) -> list[str]:
+    lines = []
+    for number in chosen.term.numbers:
+        value = float(f"{chosen.values[number.name]:.{SIGNIFICANT}g}")
+        if not number.times:
+            low, high, why = -3.2, 3.2, "a full period"
+        elif number.switches:
+            most = float(f"{max(number.times * abs(value), 1e-9):.2g}")
+            low, high, why = -most, most, f"{number.times:g} times what was found, of either sign"
+            if number.signed:
+                low, high = (0.0, most) if value >= 0.0 else (-most, 0.0)
+                why = f"{number.times:g} times what was found, of its sign"
+            if high > number.most:
+                high, why = max(number.most, value), f"0 to what such an effect has at most, {number.most:g}"
+        else:
+            low, high = (float(f"{v:.3g}") for v in (value / number.times, value * number.times))
+            why = f"found, within a factor of {number.times:g}"
+        off = "0.0" if number.switches else "None"
+        lines.append(
+            f'        Parameter("{prefix}_{number.name}", "{number.unit}", {low!r}, {high!r}, {off}, {value!r}, '
+            f'"{why}", "bounds"),'
+        )
+    return lines
+
+
+def _step(
+    code: Mapping[str, Sequence[str]], needs: set[str], names: Sequence[str], follows: Mapping[str, str]
+) -> str:  # fmt: skip
+    every = " ".join(text for texts in code.values() for text in texts)
+    lines = ["@law", "def step(raw: int) -> None:", "    s = state(raw)"]
+    lines += [f"    {name} = s.values[{i}]" for i, name in enumerate(names)]
+    if "angle" in every or "angle" in follows.values():
+        lines.append("    angle = s.qpos[s.angle]")
+    if "speed" in every or "speed" in follows.values() or "memory" in needs:
+        lines.append("    speed = s.qvel[s.dof]")
+    if "other" in every:
+        lines.append("    other = s.qpos[s.drives[1 if s.channel == 0 else 0, 2]]")
+    if "carried" in every:
+        lines.append("    carried = abs(s.actuator[s.dof] - s.passive[s.dof] + s.bias[s.dof])")
+    if "memory" in needs or follows:
+        lines.append("    time = s.memory[0]")
+    for slot, (prefix, what) in enumerate(follows.items(), start=FIRST_SLOT):
+        lines += [
+            f"    {prefix}_followed = {what} if time == 0.0 else s.memory[{slot}]",
+            f"    {prefix}_followed += (1.0 - math.exp(-s.step / {prefix}_after)) * ({what} - {prefix}_followed)",
+            f"    s.memory[{slot}] = {prefix}_followed",
+        ]
+    if "memory" in needs:
+        lines += [
+            "    direction = s.memory[2]",
+            "    now = math.copysign(1.0, speed) if abs(speed) > 1e-3 else direction",
+            "    since = 0.0 if now != direction else s.memory[1] + s.step",
+            "    s.memory[1], s.memory[2] = since, now",
+        ]
+    if "memory" in needs or follows:
+        lines.append("    s.memory[0] = time + s.step")
+    if "torque" in code:
+        lines.append(f"    s.applied[s.dof] += {' + '.join(code['torque'])}")
+    if "friction" in code:
+        lines.append(f"    friction = {' + '.join(code['friction'])}")
+        lines.append("    s.frictionloss[s.dof] = max(s.frictionloss[s.dof] + friction, 0.0)")
+    if "damping" in code:
+        lines.append(f"    damping = {' + '.join(code['damping'])}")
+        lines.append("    s.damping[s.dof] = max(s.damping[s.dof] + damping, 0.0)")
+    return "\n".join([*lines, ""])
+
+
+def _measure(code: Sequence[str], names: Sequence[str]) -> str:
+    lines = ["def measure(values: Values, site: Site, step: float, start: Array) -> Map:"]
+    lines += [f'    {name} = values["{name}"][:, None]' for name in names]
+    return "\n".join([*lines, f"    return Map(lambda angle: angle + {' + '.join(code)})", ""])
+
+
+_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []  # of files that compiled laws came from, kept as long as they are
+
+
+def declared(text: str) -> Effect:
+    """The effect that the text of a file declares."""
+    _FOLDERS.append(tempfile.TemporaryDirectory())
+    folder = Path(_FOLDERS[-1].name)
+    (folder / f"{NAME}.py").write_text(text, encoding="utf-8")
+    return Registry.load(folder).effect(NAME)
+
+
+def seen_mark(model: Model, effect: Effect, place: str, play: Play) -> str:
+    """The mark that explains most of what an effect changes in the first trial of a play; "" if it cannot be played.
+
+    Args:
+        model: without the effect; `place`, where it acts.
+    """
+    rig, trials = model.rig, play.trials
+    axis = next(a for a in rig.axes if place == a.name or place in [m.signal for m in a.measured])
+    positions = [m for m in axis.measured if m.quantity == "position"]
+    signal = next((m.signal for m in positions if place in (m.signal, axis.name) and m.joint == axis.load), place)
+    try:
+        without, seen = (simulate(m, trials) for m in (model, model.with_effect(effect, place)))
+    except InputError:
+        return ""
+    column = without.index(signal)
+    others = [m.signal for a in rig.axes if a is not axis for m in a.measured if m.quantity == "position"]
+    other = without.values[0, :, without.index(others[0])] if others else np.zeros(len(trials.time))
+    command = np.nan_to_num(without.commands[0][:, rig.command_channels.index(axis.command)])
+    pair = Pair(trials.step, command, without.values[0, :, column], seen.values[0, :, column], other)
+    return max(MARKS, key=lambda name: MARKS[name](pair))
