@@ -10,9 +10,8 @@ import pytest
 
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.mjcf.__main__ import labyrinth_files, main
-from labyrinth_sim.mjcf.floor import floor_tiles, hole_wedges, polygon_inradius
 from labyrinth_sim.mjcf.geometry import load_geometry
-from labyrinth_sim.mjcf.labyrinth import BELT_RATIO, TIMESTEP, labyrinth_xml
+from labyrinth_sim.mjcf.labyrinth import BELT_RATIO, TIMESTEP, floor_tiles, hole_wedges, labyrinth_xml, polygon_inradius
 
 CONFIG = Path(__file__).parents[1] / "config"
 LAYOUTS = load_geometry(CONFIG / "labyrinth_geometry.yaml")

@@ -6,8 +6,7 @@ The labyrinth's files in `config/mjcf/` are made from `config/labyrinth_geometry
     python -m labyrinth_sim.mjcf config/labyrinth_geometry.yaml config/mjcf
 
 geometry.py    the measured figures as values
-floor.py       a floor with round holes out of boxes
-labyrinth.py   geometry -> MJCF
+labyrinth.py   geometry -> MJCF, its floor with round holes out of convex pieces
 picture.py     MJCF -> a rendered picture
 
 Names in the model:
