@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roll-outs: parameter sets times commands, all at once."""
+"""Roll-outs: parameter sets times commands, all at once; or one simulation, a sample at a time."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labyrinth_sim.build import Plan, compiled
-from labyrinth_sim.chains import command_filters, measure_filters, through, undone
+from labyrinth_sim.build import Placed, Plan, compiled, local_values
+from labyrinth_sim.effect import Filter, Values
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError, unknown_name
+from labyrinth_sim.filters import Map
 from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model
 from labyrinth_sim.quantities import EFFORT, PLAIN
 from labyrinth_sim.rig import BALL_SIGNALS
+from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array, Trials
 
 CHUNK = 4096  # simulations stepped together, and
@@ -295,3 +298,158 @@ def _check(
         complaints.append(f"timestep must lie within [1e-05, 0.1] s, got {timestep:g}.")
     if complaints:
         raise InputError(complaints)
+
+
+class Stepper:
+    """A model that runs sample by sample, as the live node runs it: the same engine as the batch.
+
+    Args:
+        model: the model.
+        step: s between samples; the rig's if None.
+        with_ball: simulate the ball too; None for a rig that has one.
+        timestep: s, MuJoCo's; None for the MJCF's.
+    """
+
+    def __init__(
+        self, model: Model, step: float | None = None, with_ball: bool | None = None, timestep: float | None = None
+    ) -> None:
+        self.model = model
+        self.step = step or model.rig.sample_time
+        self.with_ball = model.rig.ball is not None if with_ball is None else with_ball
+        self._plan = compiled(model, self.with_ball, even_timestep(self.step, timestep, model, self.with_ball))
+        self._numbers = numbers_of(model, 1)
+        self.signals = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if self.with_ball else ())
+        self.reset()
+
+    @property
+    def time(self) -> float:
+        """s since the reset."""
+        return self._samples * self.step
+
+    def reset(self, initial: Mapping[str, float] | None = None, first_command: Array | None = None) -> Array:
+        """Starts anew.
+
+        Args:
+            initial: signal -> value; 0 and the ball's start point where not given.
+            first_command: (u,) rad; axes whose first command is NaN start switched off. All on if None.
+
+        Returns:
+            (m,) the first measurement.
+        """
+        self._engine = Engine(self.model, self._plan, self._numbers, 1, self.step, nthread=1)
+        given = {name: np.array([value]) for name, value in (initial or {}).items()}
+        given = undone(self._plan, self._numbers, given)
+        qpos, qvel = first_state(self.model, self._plan.mj, self.with_ball, 1, given)
+        first = np.zeros(len(self.model.rig.axes)) if first_command is None else np.asarray(first_command, float)
+        start = rest_targets(self._plan, qpos, first[None])
+        self._engine.start(qpos, qvel, start)
+        self._commands = command_filters(self._plan, self._numbers, self.step, start)
+        raw = self._engine.measure()
+        self._sensors = measure_filters(self.model, self._plan, self._numbers, self.step, raw)
+        self._samples = 0
+        return self._seen(raw)
+
+    def advance(self, command: Array) -> Array:
+        """Holds a command (u,) rad for one sample, NaN switching a drive off; returns the measurement (m,) after it.
+
+        Raises:
+            InputError: the simulation diverged; `reset` starts anew.
+        """
+        target = through(self._commands, np.asarray(command, float)[None, None, :])[:, 0]
+        self._engine.advance(target)
+        self._samples += 1
+        self._engine.check(self.time)
+        if self._engine.failed[0]:
+            raise InputError(f"The simulation of '{self.model.name}' {self._engine.messages[0]}.")
+        return self._seen(self._engine.measure())
+
+    def _seen(self, raw: Array) -> Array:
+        return through(self._sensors, raw[:, None, :])[0, 0]
+
+    def ball(self) -> Array:
+        """(3,) m, where the ball's centre is in the board's frame, whatever the camera sees."""
+        return self._engine.ball()[0]
+
+    def supply_ball(self) -> None:
+        """Puts the ball, at rest, where the MJCF has it on the board."""
+        if not self.with_ball:
+            raise InputError(f"Rig '{self.model.rig.name}' has no ball.")
+        self._engine.place_ball({})
+
+    @property
+    def mj(self) -> mujoco.MjModel:
+        """The compiled model, with this model's values."""
+        return self._engine.batch.get_model(0)
+
+    @property
+    def qpos(self) -> Array:
+        """(nq,) now, for drawing."""
+        return np.array(self._engine.live.qpos[0])
+
+
+def command_filters(plan: Plan, values: Values, step: float, start: Array) -> list[list[Filter]]:
+    """The filters of each command channel in order, the drive's own last. `start` is (nsim, u) rad."""
+    chains: list[list[Filter]] = []
+    acting = plan.acting(values)
+    for i, (drive, prefix, site) in enumerate(plan.drives):
+        made = [
+            placed.effect.command(local_values(values, placed.prefix), placed.site, step, start[:, i])
+            for placed in acting
+            if placed.effect.command and placed.site.channel == i
+        ]
+        made.append(drive.target(local_values(values, prefix), site, step, start[:, i]) if drive.target else None)
+        chains.append([f for f in made if f is not None])
+    return chains
+
+
+def measure_filters(model: Model, plan: Plan, values: Values, step: float, first: Array) -> list[list[Filter]]:
+    """The filters of each signal in order; `first` is (nsim, m), the first sample."""
+    names = [m.signal for m in model.rig.measured] + (list(BALL_SIGNALS) if plan.with_ball else [])
+    chains: list[list[Filter]] = []
+    acting = plan.acting(values)
+    # An effort whose unit is open is read in that unit, as it was recorded.
+    scales = {n.split(".")[1]: numbers for n, numbers in values.items() if n.startswith(f"{EFFORT}.")}
+    for column, signal in enumerate(names):
+        made = [
+            placed.effect.measure(local_values(values, placed.prefix), site, step, first[:, column])
+            for placed in acting
+            if placed.effect.measure and (site := _sees(placed, signal)) is not None
+        ]
+        made.insert(0, _over(scales[signal]) if signal in scales else None)
+        chains.append([f for f in made if f is not None])
+    return chains
+
+
+def _over(scale: Array) -> Map:
+    return Map(lambda torque: torque / scale[:, None])
+
+
+def _sees(placed: Placed, signal: str) -> Site | None:
+    site, effect = placed.site, placed.effect
+    if effect.where == "signal":
+        return site if site.signal == signal else None
+    if effect.where == "ball":
+        return replace(site, signal=signal) if signal in BALL_SIGNALS else None
+    own = site.axis is not None and any(m.signal == signal for m in site.axis.measured)
+    return replace(site, signal=signal) if own else None
+
+
+def through(chains: list[list[Filter]], block: Array) -> Array:
+    """(nsim, K, channels) through each channel's filters."""
+    if not any(chains):
+        return block
+    out = np.array(block)
+    for i, chain in enumerate(chains):
+        for filter_ in chain:
+            out[:, :, i] = filter_(out[:, :, i], block)
+    return out
+
+
+def undone(plan: Plan, values: Values, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Signal -> (nsim,): what was there, of what was seen, by the effects that can tell."""
+    found = dict(given)
+    for placed in reversed(plan.acting(values)):
+        for signal, seen in found.items():
+            if placed.effect.undo and (site := _sees(placed, signal)) is not None:
+                found[signal] = placed.effect.undo(local_values(values, placed.prefix), site, seen)
+    return found

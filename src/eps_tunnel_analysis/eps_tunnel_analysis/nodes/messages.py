@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from labyrinth_msgs.msg import Diagnosis
-from labyrinth_sim.nodes.waiting import waiting
+from labyrinth_sim.nodes.start import waiting
 
 # rclpy writes overrides into the profile it is given, so each entity gets a profile of its own.
 

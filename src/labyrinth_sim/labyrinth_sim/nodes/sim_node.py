@@ -32,9 +32,8 @@ from labyrinth_msgs.srv import LoadModel, StepSimulation
 from labyrinth_sim.ball import ON_BOARD, OVER_THE_RIM, BallGame
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.nodes.start import start_ros
-from labyrinth_sim.nodes.waiting import waiting
-from labyrinth_sim.stepper import Stepper
+from labyrinth_sim.nodes.start import start_ros, waiting
+from labyrinth_sim.simulate import Stepper
 from labyrinth_sim.urdf import urdf
 
 CATCH_UP = 0.25  # s; a longer hiccup is skipped rather than caught up

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node's program starts: its words checked, ROS begun, one line where either fails."""
+"""How a node's program starts: its words checked, ROS begun, one line where either fails; and what waits in a subscription."""
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 
 EXPECTED = "Expected `--ros-args -p PARAMETER:=VALUE ...`, `-r FROM:=TO` or `--params-file FILE`."
 
@@ -41,3 +43,10 @@ def refuse(program: str, complaint: str) -> None:
     """Ends the program with exit code 2."""
     print(f"{program}: {complaint} {EXPECTED}", file=sys.stderr)
     raise SystemExit(2)
+
+
+def waiting(subscription: Subscription) -> Iterator[Any]:
+    """Messages that came since the last look, oldest first, all at once; an executor takes one at a time."""
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+            yield taken[0]
