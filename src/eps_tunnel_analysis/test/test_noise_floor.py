@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from eps_tunnel_analysis.diagnose.noise import SignalNoise, resolution, signal_noise
 from eps_tunnel_analysis.stamped import Readings, Series, readings
@@ -87,14 +88,36 @@ def test_where_trials_drift_apart_the_floor_rises_there_only() -> None:
     assert late == pytest.approx(np.full(len(late), np.std(np.linspace(-0.05, 0.05, 5), ddof=1)), rel=0.1)
 
 
-def test_what_does_not_matter_is_a_share_of_the_motion_and_a_time() -> None:
-    given = bins_of(4, 3, lambda time, _: motion(time))
+def wandering(time: Array, rng: np.random.Generator) -> Array:
+    """Random pushes on a servo that forgets them within 50 ms, deviation SIGMA."""
+    keep = np.exp(-WIDTH / 0.05)
+    pushes = SIGMA * np.sqrt(1.0 - keep**2) * rng.standard_normal(len(time))
+    return motion(time) + lfilter([1.0], [1.0, -keep], pushes)
+
+
+def held(time: Array, rng: np.random.Generator) -> Array:
+    """Rests for a second each time, in every trial where stiction happens to hold it, deviation SIGMA."""
+    return motion(time) + SIGMA * rng.standard_normal(12)[time.astype(int)]
+
+
+@pytest.mark.parametrize("trials", [4, 10])
+def test_a_mean_is_as_exact_as_its_trials_forget_what_drives_them_apart(trials: int) -> None:
+    """What a trial forgets is noise, and averages out; where each trial rests for long, the mean is no motion at all."""
+    forgotten = signal_noise(*bins_of(trials, 6, wandering), WIDTH)
+    assert np.sqrt(np.mean(forgotten.floor**2)) == pytest.approx(SIGMA / np.sqrt(trials), rel=0.35)
+    kept = signal_noise(*bins_of(trials, 6, held), WIDTH)
+    assert np.sqrt(np.mean(kept.floor**2)) == pytest.approx(SIGMA, rel=0.25)
+
+
+@pytest.mark.parametrize("trials", [1, 4])
+def test_what_does_not_matter_is_a_share_of_the_motion_and_a_time(trials: int) -> None:
+    given = bins_of(trials, 3, lambda time, _: motion(time))
     share = signal_noise(*given, WIDTH, tolerance=0.01)
     size = np.sqrt(np.var(motion(given[0].time)))
     assert share.floor == pytest.approx(np.full(len(share.floor), 0.01 * size), rel=0.02)
     late = signal_noise(*given, WIDTH, timing=0.01)
     moving = np.abs(np.cos(2.0 * late.time)) > 0.5
-    mean = 0.01 / np.sqrt(given[0].single.shape[0])  # each trial is early or late by itself
+    mean = 0.01 / trials  # each trial is early or late by itself, and the more there are the better they tell
     assert late.floor[moving] == pytest.approx(mean * 2.0 * np.abs(np.cos(2.0 * late.time))[moving], rel=0.05)
 
 
