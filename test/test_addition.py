@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -15,7 +16,10 @@ from eps_tunnel_analysis.diagnose.addition import add_effects, addition_of
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.falls import by_recording, fall_sentences
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.model import load_model
+from labyrinth_sim.simulate import simulate
 
 
 @pytest.mark.parametrize("name", ["gravity_load.x", "sensor_bias.motor_x"])
@@ -34,6 +38,46 @@ def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str) ->
     assert alone.given == said.given
     assert dict(said.values) == dict(diagnosis.verdict.values)
     assert alone.after.held_out != alone.after.error  # of stretches left out, though no recording was held out
+
+
+def swung(name: str) -> Play:
+    """Three seconds of the bare horn with an effect of typical size, three noisy trials."""
+    rig = load_model("horn").with_effect(name, "horn").with_values({"drive.horn.stiffness": 12.0})
+    time = np.arange(300) * 0.01
+    run = simulate(rig, time, 0.5 * np.sin(2 * time**1.5)[:, None]).select(["joint"])
+    values = np.repeat(run.values, 3, axis=0)
+    values += 1e-4 * np.random.default_rng(1).standard_normal(values.shape)
+    return Play("swing", replace(run, values=values, commands=np.repeat(run.commands, 3, axis=0)))
+
+
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [("coulomb_friction", "viscous_friction"), ("dead_band", "backlash"), ("constant_torque", "return_spring")],
+)
+def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_values(name: str, other: str) -> None:
+    play, model = swung(name), load_model("horn")
+    diagnosis = diagnose(model, [play], only=[name, other], nthread=1)
+    named = diagnosis.verdict.effects
+    assert named == (f"{name}.horn",)
+    alone = add_effects(model, [play], named, 1)
+    said = diagnosis.verdict.values
+    assert alone.values.keys() == said.keys()
+    for value in (n for n in said if n.startswith((name, "drive"))):
+        assert alone.values[value] == pytest.approx(said[value], rel=0.02, abs=1e-4), value
+    assert alone.after.error == pytest.approx(diagnosis.verdict.after.error, rel=0.02)
+    assert alone.before.error == pytest.approx(diagnosis.verdict.before.error, rel=0.02)
+
+
+def test_a_fit_that_has_not_converged_is_told() -> None:
+    play, name = swung("coulomb_friction"), "coulomb_friction.horn"
+    diagnosis = diagnose(load_model("horn"), [play], only=["coulomb_friction"], nthread=1)
+    assert not any("converged" in text for text in addition_of(diagnosis, [name], [play]).doubts)
+    (axis,) = diagnosis.axes
+    still = replace(diagnosis, axes=(replace(axis, refits=tuple(replace(r, converged=False) for r in axis.refits)),))
+    added = addition_of(still, [name], [play])
+    told = f"The fit of {name} has not converged: other values may fit better."
+    assert added.doubts[-1] == told and told in added.sentence
+    assert not any("converged" in text for text in addition_of(still, [], [play]).doubts), "the values alone are no fit"
 
 
 def test_values_at_their_bounds_are_told() -> None:
