@@ -1,22 +1,129 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop over ROS: on the nodes that run, or on an emulated rig of its own."""
 
+import math
 import os
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.action import ActionClient
+from rclpy.signals import SignalHandlerOptions
 
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan
 from eps_tunnel_analysis.loop.notebook import Notebook
-from eps_tunnel_analysis.loop.rig import RigFailed
+from eps_tunnel_analysis.loop.rig import Bags, RigFailed
 from eps_tunnel_analysis.loop.truth import judged
-from eps_tunnel_analysis.nodes.rig_client import RigClient
+from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched
+from eps_tunnel_analysis.nodes.play import Progress, ProgressBar
 from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, hidden_in_words, rig_processes
 from eps_tunnel_analysis.processes import ProcessDied
+from labyrinth_msgs.action import PlaySequence
+from labyrinth_msgs.msg import Diagnosis
+from labyrinth_msgs.srv import LoadModel
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
+
+PATIENCE = 90.0  # s, for a node to appear; a busy machine takes its time
+CANCEL = 10.0  # s, for the player to end after it was told to
+
+
+class RigClient:
+    """A rig whose nodes run. Ctrl-C while it plays makes the player stop and close its bags.
+
+    Args:
+        watch: called several times a second while waiting; raises where waiting has become pointless.
+    """
+
+    def __init__(self, watch: Callable[[], None] = lambda: None) -> None:
+        self._watch = watch
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node("eps_tunnel")
+        self._player = ActionClient(self._node, PlaySequence, "play_sequence")
+        self._loader = self._node.create_client(LoadModel, "sim/load_model")
+        self._limits = self._node.create_client(GetParameters, "player/get_parameters")
+        self._verdicts = self._node.create_publisher(Diagnosis, "srg/diagnosis", latched())
+
+    def play(self, sequence: str, trials: int, folder: Path) -> Bags:
+        """Plays a sequence, by name or path, on both sides, with a bar; one bag a side into `folder`.
+
+        Raises:
+            RigFailed: with the player's own words.
+        """
+        self._appear(self._player.server_is_ready, "the player (/play_sequence)")
+        goal = PlaySequence.Goal(sequence=sequence, trials=trials, record=True, folder=str(folder.resolve()))
+        with ProgressBar() as bar:
+
+            def show(message: Any) -> None:
+                f = message.feedback
+                bar.show(Progress(f.trial, f.trials, f.phase, f.progress, f.time_left))
+
+            handle = self._await(self._player.send_goal_async(goal, feedback_callback=show))
+            if not handle.accepted:
+                raise RigFailed("The player refused: another sequence is being played.")
+            ending = handle.get_result_async()
+            try:
+                result: PlaySequence.Result = self._await(ending).result
+            except BaseException:
+                with suppress(Exception):  # the node may be what died
+                    handle.cancel_goal_async()
+                    rclpy.spin_until_future_complete(self._node, ending, timeout_sec=CANCEL)
+                raise
+        if not result.success:
+            raise RigFailed(result.message)
+        bags = [Path(bag) for bag in result.bags]
+        return Bags(*(tuple(bag for bag in bags if bag.name.endswith(f"_{side}")) for side in ("real", "sim")))
+
+    def load(self, model: Path) -> None:
+        """Has the running simulation take over a model file. Raises RigFailed with the simulation's own words."""
+        self._appear(self._loader.service_is_ready, "the simulation (/sim/load_model)")
+        answer = self._await(self._loader.call_async(LoadModel.Request(model=str(model.resolve()))))
+        if not answer.success:
+            raise RigFailed(answer.message)
+
+    def limit(self) -> float:
+        """The largest angle, rad, that the player lets a sequence command."""
+        self._appear(self._limits.service_is_ready, "the player (/player/get_parameters)")
+        answer = self._await(self._limits.call_async(GetParameters.Request(names=["limit_deg"])))
+        return math.radians(answer.values[0].double_value)
+
+    def tell(self, content: Mapping[str, Any], report: Path) -> None:
+        """Publishes a verdict, as diagnosis.json holds it, on /srg/diagnosis."""
+        message = diagnosis_message(content, str(report.resolve()))
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._verdicts.publish(message)
+
+    def _appear(self, ready: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not ready():
+            self._watch()
+            if time.monotonic() > deadline:
+                raise RigFailed(
+                    f"{what} did not appear within {PATIENCE:g} s. Start it, and check ROS_DOMAIN_ID on both sides."
+                )
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+
+    def _await(self, future: Any) -> Any:
+        while not future.done():
+            rclpy.spin_until_future_complete(self._node, future, timeout_sec=0.5)
+            self._watch()
+        return future.result()
+
+    def __enter__(self) -> "RigClient":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._node.destroy_node()
+        rclpy.try_shutdown()
 
 
 def improve(
