@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from labyrinth_hw import config
-from labyrinth_hw.config import Number, Positive, Section, Whole
+from labyrinth_hw.config import Number, Positive, Section, Whole, write_new
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.new_file import write_new
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds, reads and checks the rig's YAML files: $EPS_TUNNEL_CONFIG, the source tree, then what was installed."""
+"""Finds, reads and checks the rig's YAML files: $EPS_TUNNEL_CONFIG, the source tree, then what was installed.
+
+New files are written whole or not at all.
+"""
 
 import os
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -218,3 +222,32 @@ def _section(kind: Any) -> type[BaseModel] | None:
     """The model behind an annotation such as `Model | None`."""
     choices = (kind, *get_args(kind))
     return next((c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)), None)
+
+
+def write_new(path: Path, text: str) -> None:
+    """Writes a file that must not exist yet, beside its place, and moves it there.
+
+    Raises:
+        InputError: it exists, or cannot be written; nothing is left of it.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
+        partial = Path(name)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            partial.chmod(0o644)
+            try:
+                os.link(partial, path)
+            except OSError:  # there, or a file system without hard links
+                if path.exists() or path.is_symlink():
+                    raise FileExistsError from None
+                partial.rename(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except FileExistsError:
+        raise InputError(f"{path} exists and is left as it is; name another file.") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}. Nothing is left of it.") from error

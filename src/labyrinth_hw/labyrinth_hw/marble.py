@@ -17,9 +17,8 @@ from pydantic import Field
 
 from labyrinth_hw import config
 from labyrinth_hw.camera import Array, Frame
-from labyrinth_hw.config import Number, Section
+from labyrinth_hw.config import Number, Section, write_new
 from labyrinth_hw.errors import InputError
-from labyrinth_hw.new_file import write_new
 
 DARK = 6.0  # grey levels added to every channel, below which a tint is noise
 LEAST = 0.3  # difference of the tints, below which marble and wood cannot be told apart

@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 from labyrinth_hw import config
 from labyrinth_hw.compensation import Compensation, measured_map
+from labyrinth_hw.config import write_new
 from labyrinth_hw.errors import HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement
-from labyrinth_hw.new_file import write_new
 from labyrinth_hw.safety import Goal, State
 from labyrinth_hw.settings import CompensationSection, load_hardware
 

@@ -28,11 +28,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_srvs.srv import SetBool, Trigger
 
+from labyrinth_hw.devices import ask_for_priority
 from labyrinth_hw.errors import HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement, hardware_health
 from labyrinth_hw.nodes.messages import Stamps, ball_state, board_state, camera_info, diagnostics, image, joint_state
 from labyrinth_hw.nodes.start import start_ros
-from labyrinth_hw.priority import ask_for_priority
 from labyrinth_hw.safety import Goal, State
 from labyrinth_hw.settings import load_hardware
 from labyrinth_hw.vision import Sight, Vision, lens_of

@@ -11,10 +11,9 @@ import time
 from pathlib import Path
 from types import FrameType
 
-from labyrinth_hw.devices import default_link_dir
+from labyrinth_hw.config import write_new
+from labyrinth_hw.devices import ask_for_priority, default_link_dir
 from labyrinth_hw.errors import HardwareError, InputError
-from labyrinth_hw.new_file import write_new
-from labyrinth_hw.priority import ask_for_priority
 from labyrinth_hw.testbed.hidden import TestbedConfig, listing, load_testbed
 from labyrinth_hw.testbed.live import FAULTS, LiveRig, LiveTestbed
 from labyrinth_hw.testbed.scene import load_layout
