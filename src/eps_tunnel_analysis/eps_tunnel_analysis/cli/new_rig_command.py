@@ -2,12 +2,17 @@
 """new-rig: a robot's own model and recordings to a rig and a model, then the check."""
 
 import argparse
+import math
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from eps_tunnel_analysis.cli.arguments import add_threads_argument
 from eps_tunnel_analysis.outputs import new_folder, refuse_existing
 from eps_tunnel_analysis.terminal import console, print_next, rollout_progress
+
+if TYPE_CHECKING:
+    from eps_tunnel_analysis.new_rig.position import Ticks
 
 NAME = "new-rig"
 HELP = "Writes rig and model files from a robot's MJCF or URDF and its recordings, and checks them."
@@ -16,9 +21,11 @@ examples:
   eps-tunnel new-rig arm.xml --bag bags/run1 bags/run2 --out arm
   eps-tunnel new-rig so101.urdf --lerobot ~/datasets/so101_pick --position-unit deg --out so101
   eps-tunnel new-rig gantry.xml --csv logs/*.csv --match slide=x_axis --out gantry
+  eps-tunnel new-rig pan.xml --csv log.csv --position-unit ticks --ticks-per-turn 4096 --zero 2048 --out pan
 
 Joints are matched by name. files in --out: rig.yaml and model.yaml with a reason beside every value; robot.xml where
-joints lack an actuator with a name or have several; bags made of tables. Nothing is fitted yet: calibrate or diagnose does that."""
+joints lack an actuator with a name or have several; bags made of tables. Nothing is fitted yet: calibrate or diagnose
+does that."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="new folder for the files")
     parser.add_argument("--match", nargs="+", metavar="JOINT=RECORDED", type=_pair, default=[],
                         help="joint of the model and its name in the recordings, where they differ")  # fmt: skip
-    parser.add_argument("--position-unit", choices=("rad", "deg", "m", "mm"),
+    parser.add_argument("--position-unit", choices=("rad", "deg", "m", "mm", "ticks"),
                         help="of recorded positions and targets (default: told from their reach)")  # fmt: skip
+    parser.add_argument("--ticks-per-turn", type=_factor, metavar="N",
+                        help="for --position-unit ticks, as 4096; negative where they count the other way")  # fmt: skip
+    parser.add_argument("--zero", nargs="+", type=_zero, default=[], metavar="[JOINT=]Z",
+                        help="tick at which a joint of the model, or each, is at 0 (default: 0)")  # fmt: skip
     parser.add_argument("--effort-unit", choices=("N m", "N", "A", "mA", "duty", "raw"),
                         help="of recorded efforts (default: told from the model's inverse dynamics)")  # fmt: skip
     parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects that the check tries (default: all)")
@@ -45,10 +56,15 @@ def run(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.new_rig.tables import csv_bags, lerobot_bags
     from eps_tunnel_analysis.new_rig.write import new_rig
     from eps_tunnel_analysis.recording import read_all
+    from labyrinth_sim.errors import InputError, unknown_name
     from labyrinth_sim.model import load_model
 
     refuse_existing(arguments.out)
+    ticks = _ticks(arguments)
     robot = read_robot(arguments.robot)
+    strange = [joint for joint, _ in arguments.zero if joint and joint not in robot.joints]
+    if strange:
+        raise InputError([f"--zero: {unknown_name('joint', joint, robot.joints)}" for joint in strange])
     notes: list[str] = []
     with new_folder(arguments.out) as folder:
         if arguments.bag:
@@ -58,7 +74,7 @@ def run(arguments: argparse.Namespace) -> None:
         else:
             paths, notes = lerobot_bags(arguments.lerobot, folder / "bags")
         made = new_rig(
-            robot, read_all(paths), folder, dict(arguments.match), arguments.position_unit, arguments.effort_unit
+            robot, read_all(paths), folder, dict(arguments.match), arguments.position_unit, arguments.effort_unit, ticks
         )
         load_model(made.model)  # whatever is wrong is told before the folder takes its name
     model = arguments.out / "model.yaml"
@@ -79,6 +95,19 @@ def run(arguments: argparse.Namespace) -> None:
     print_next(out, said, shlex.join(["eps-tunnel", "diagnose", *words, "--out", "why"]))
 
 
+def _ticks(arguments: argparse.Namespace) -> "Ticks | None":
+    from eps_tunnel_analysis.new_rig.position import TICKS, Ticks
+    from labyrinth_sim.errors import InputError
+
+    given = arguments.ticks_per_turn is not None
+    if (arguments.position_unit == TICKS) != given or (arguments.zero and not given):
+        raise InputError(
+            "--position-unit ticks and --ticks-per-turn N belong together, and --zero to both; expected "
+            "--position-unit ticks --ticks-per-turn 4096 --zero 2048."
+        )
+    return Ticks(arguments.ticks_per_turn, dict(arguments.zero)) if given else None
+
+
 def _check(model: Path, paths: list[Path], known: list[str], arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.check.check import check
     from eps_tunnel_analysis.inputs import load_recorded
@@ -97,3 +126,18 @@ def _pair(text: str) -> tuple[str, str]:
     if not (joint and equals and recorded):
         raise argparse.ArgumentTypeError(f"expected JOINT=RECORDED, got '{text}'")
     return joint, recorded
+
+
+def _factor(text: str) -> float:
+    value = float(text)
+    if value == 0.0 or not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number that is not 0, got {text}")
+    return value
+
+
+def _zero(text: str) -> tuple[str, float]:
+    joint, _, number = text.rpartition("=")
+    value = float(number)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number, got {number}")
+    return joint, value

@@ -75,8 +75,12 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
     if not len(seen) or np.ptp(seen) == 0.0:
         return "", "none recorded"
     most = float(np.abs(seen).max())
-    if most <= 1.0 and most > 0.999 and not np.allclose(seen, np.round(seen)):
-        return "duty", "it never exceeds 1 and reaches it"
+    others = f'if it is a torque, say --effort-unit "{si}"; if a current, --effort-unit A'
+    duty = 0.05 < most <= 1.0 and not np.allclose(seen, np.round(seen))
+    if duty and (damped := _damped(samples, scale, zero)):
+        return si, f"{damped}; if it is a current, say --effort-unit A"
+    if duty and most > 0.999:
+        return "duty", f"it never exceeds 1 and reaches it; {others}"
     explained, factor = _inverse(robot, joint, samples, scale, zero)
     if explained > INERTIA and 1.0 / NEAR < factor < NEAR:
         return (
@@ -89,13 +93,29 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
         if 1.0 / NEAR < k / max(moved, 1e-300) < NEAR:
             rad = "m" if _slides(robot, joint) else "rad"
             return si, f"its stiffness, {k:.3g} {si}/{rad}, is that with which the model's inertia moves, {moved:.3g}"
-    if most <= 1.0 and most > 0.05 and not np.allclose(seen, np.round(seen)):
-        why = f"never beyond 1 (at most {most:.3g}), and not what the model's inverse dynamics gives"
-        return "duty", f"{why}; if it is a current, say --effort-unit A"
+    if duty:
+        return "duty", f"never beyond 1 (at most {most:.3g}), and not what the model's inverse dynamics gives; {others}"
     counts = " in whole numbers" if np.allclose(seen, np.round(seen)) else ""
     return (
         "raw",
         f"up to {most:.4g}{counts}, which is not the model's {si}; write A with torque_constant if it is a current",
+    )
+
+
+def _damped(samples: Sequence[Sampled], scale: float, zero: float) -> str:
+    """Why an effort is all that turns the joint: it is a law of error and speed that damps as the joint's motion is
+    damped; "" where it is not. A duty leaves out what the motor's own voltage damps.
+    """
+    share, k, c, _ = _laws(samples, scale, zero)
+    if share <= 0.0 or c <= 0.0:
+        return ""
+    _, frequency, ratio, _ = _orders(samples, scale, zero)[1]
+    moved = 2.0 * ratio / frequency
+    if not 1.0 / NEAR < c / k / moved < NEAR:
+        return ""
+    return (
+        f"a straight law of error and speed explains {share:.0%} of it, and damps the joint as it moves: damping over "
+        f"stiffness is {c / k:.3g} s in the law and {moved:.3g} s in the motion"
     )
 
 

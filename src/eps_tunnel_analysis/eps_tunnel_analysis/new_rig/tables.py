@@ -3,7 +3,7 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ WORDS = {
     "position": ("position", "pos", "angle", "measured", "actual", "state", "q", "y"),
 }
 """Quantity -> words by which a column is told to hold it, as part of its name."""
+ELEMENT = re.compile(r"(.+)\[(\d+)\]")
+"""name of a column and the place in its lists"""
 SLOWEST, FASTEST = 0.1, 1e5  # Hz, frames of a dataset
 MOST_FRAMES = 1e8  # of a dataset
 
@@ -53,11 +55,12 @@ def _columns(table: Path, joints: Sequence[str], notes: list[str]) -> CsvColumns
         )
     found: dict[str, dict[str, str]] = {quantity: {} for quantity in WORDS}
     for name in numbers:
-        joint = _joint_of(name, joints) if name != time else None
-        if joint is None:
+        if name == time or _base(name, joints):
             continue
-        quantity = _quantity(name, joint)
-        found[quantity].setdefault(joint, name)
+        joint = _joint_of(name, joints)
+        if joint is not None:
+            found[_quantity(name, joint)].setdefault(joint, name)
+    _add_lists(table, numbers, joints, found, notes)
     if not found["position"]:
         raise InputError(
             f"{table}: no column of a position. Expected the joint's name ({', '.join(joints)}), alone or with "
@@ -74,6 +77,42 @@ def _columns(table: Path, joints: Sequence[str], notes: list[str]) -> CsvColumns
     unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[scale]
     notes.append(f"Tables: time from column '{time}' in {unit}; {'; '.join(told)}.")
     return CsvColumns(time, found["command"], measured, found["velocity"], found["effort"], time_scale=scale)
+
+
+def _add_lists(
+    table: Path, columns: Iterable[str], joints: Sequence[str], found: dict[str, dict[str, str]], notes: list[str]
+) -> None:
+    """Takes columns of lists for what joints have no column of their own for, in the model's order of joints; says
+    so, and which are left out."""
+    lists: dict[str, list[str]] = {}
+    for name in columns:
+        if base := _base(name, joints):
+            lists.setdefault(base, []).append(name)
+    for name, elements in lists.items():
+        quantity = _quantity(name, "")
+        if len(elements) != len(joints) or found[quantity]:
+            why = (
+                f"there is another column of a {quantity}" if found[quantity]
+                else f"it has {len(elements)} number{'s' * (len(elements) > 1)} a cell, and the model "
+                f"{len(joints)} joint{'s' * (len(joints) > 1)}"
+            )  # fmt: skip
+            notes.append(
+                f"{table.name}: column '{name}' is left out, for {why}. To use it, say `eps-tunnel import-csv "
+                f"--{quantity} JOINT={name}[0]`, then --bag."
+            )
+            continue
+        found[quantity] = dict(zip(joints, elements, strict=True))
+        order = ", ".join(joints)
+        notes.append(f"Column '{name}' is a list, taken in the model's order of joints: {order}. Is that its order?")
+
+
+def _base(column: str, joints: Sequence[str]) -> str:
+    """The name of the list that a column is an element of; "" where it is none, or its place is part of a joint's
+    name, as of q[1] and the joint q1."""
+    listed = ELEMENT.fullmatch(column)
+    if not listed or _joint_of(column, joints) != _joint_of(listed[1], joints):
+        return ""
+    return listed[1]
 
 
 def _clock(times: Array) -> float:

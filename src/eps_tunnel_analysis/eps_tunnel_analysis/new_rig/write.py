@@ -21,6 +21,7 @@ from eps_tunnel_analysis.new_rig.joints import (
     name_actuators,
     sample,
 )
+from eps_tunnel_analysis.new_rig.position import PositionUnit, Ticks, position_unit
 from eps_tunnel_analysis.recording import Recording
 from labyrinth_sim.asset import compile_spec, read_spec
 from labyrinth_sim.effect import slide_unit
@@ -30,15 +31,10 @@ from labyrinth_sim.rig import WORD
 from labyrinth_sim.whole_file import write_new
 from labyrinth_sim.yaml_file import yaml_text
 
-TURN = 2.0 * np.pi
-DEGREES = 4.0 * np.pi  # a reach beyond is hardly rad
-DEGREES_MOST = 400.0
-BEYOND = 2.0  # of a joint's range in the model; a reach beyond is hardly rad
 LEAST_ARMATURE = 1e-5  # kg m^2 (kg); a joint with less diverges under any stiff drive
 OFF_GROUP = 30  # MuJoCo's last group of actuators, which robot.xml switches off
 MARGIN = 0.1  # of the recorded range, beyond which the allowed targets lie
 GAINS_APART = 0.05  # relative difference of gains that recordings were made with
-POSITION_UNITS = {"rad": 1.0, "deg": TURN / 360.0, "m": 1.0, "mm": 1e-3}
 
 
 @dataclass(frozen=True)
@@ -48,8 +44,7 @@ class AxisProposal:
     match: Match
     name: str
     slides: bool
-    unit: str
-    unit_why: str
+    unit: PositionUnit
     limits: tuple[float, float]
     limits_why: str
     tick: float  # in recorded units; 0 where none is seen
@@ -81,6 +76,7 @@ def new_rig(
     match: Mapping[str, str] | None = None,
     position: str | None = None,
     effort: str | None = None,
+    ticks: Ticks | None = None,
 ) -> NewRig:
     """Writes rig.yaml and model.yaml into a folder, and robot.xml where a joint lacks an actuator with a name or has
     several.
@@ -89,6 +85,7 @@ def new_rig(
         match: joint of the model -> recorded name.
         position: unit of recorded positions and targets; told from their reach where None.
         effort: unit of recorded efforts; told from the model's inverse dynamics where None.
+        ticks: what positions in ticks stand for.
 
     Raises:
         InputError: nothing matches, or no recording can be read.
@@ -107,7 +104,7 @@ def new_rig(
     axes = []
     for m in matches:
         samples = [sample(r, topics, m, step) for r in recordings]
-        axes.append(_axis(robot, m, samples, recordings, topics, position, effort))
+        axes.append(_axis(robot, m, samples, recordings, topics, position, effort, ticks))
     mjcf, changed = _robot_file(robot, [a.match.joint for a in axes], folder)
     axes = [_with_actuator(a, robot) for a in axes]
     write_new(folder / "rig.yaml", _rig_text(robot, mjcf, axes, step, topics, recordings))
@@ -122,8 +119,9 @@ def _found(a: AxisProposal) -> list[str]:
     """What an axis was taken for."""
     effort = f" Its effort is in {a.drive.effort}: {a.drive.effort_why}." if a.drive.effort else ""
     return [
-        f"Joint {a.match.joint} is recorded as {a.match.recorded}: {a.match.why}. Its position is in {a.unit}: "
-        f"{a.unit_why}.{effort}",
+        *([a.unit.doubt] if a.unit.doubt else []),
+        f"Joint {a.match.joint} is recorded as {a.match.recorded}: {a.match.why}. Its position is in {a.unit.name}: "
+        f"{a.unit.why}.{effort}",
         f"Drive {a.name} is a {a.drive.kind}: {a.drive.why}.",
     ]
 
@@ -142,7 +140,7 @@ def sample_time(recordings: Sequence[Recording], topics: Topics) -> float:
 
 def _axis(
     robot: Robot, m: Match, samples: Sequence[Sampled], recordings: Sequence[Recording], topics: Topics,
-    position: str | None, effort: str | None,
+    position: str | None, effort: str | None, ticks: Ticks | None,
 ) -> AxisProposal:  # fmt: skip
     joint = robot.mj.joint(m.joint)
     slides = int(joint.type[0]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -150,15 +148,14 @@ def _axis(
     if not len(seen) or not len(sent):
         raise InputError(f"Joint {m.recorded}: no numbers in its position or command. Leave it out, or record it.")
     bounds = robot.mj.jnt_range[joint.id] if robot.mj.jnt_limited[joint.id] else None
-    unit, why = (position, "as --position-unit says") if position else _position_unit(seen, slides, bounds)
-    if unit not in POSITION_UNITS:
-        raise InputError(f"--position-unit {unit}: expected {', '.join(POSITION_UNITS)}; state ticks in the rig file.")
-    scale = POSITION_UNITS[unit]
-    efforts, efforts_why = effort_unit(robot, m.joint, samples, scale, 0.0)
+    unit = position_unit(m, slides, bounds, seen, sent, position, ticks)
+    scale, zero = unit.scale, unit.zero
+    efforts, efforts_why = effort_unit(robot, m.joint, samples, scale, zero)
     if effort and efforts:
         efforts, efforts_why = effort, "as --effort-unit says"
-    drive = propose_drive(robot, m.joint, samples, scale, 0.0, efforts, efforts_why)
-    low, high = scale * min(seen.min(), sent.min()), scale * max(seen.max(), sent.max())
+    drive = propose_drive(robot, m.joint, samples, scale, zero, efforts, efforts_why)
+    reached = [scale * (value - zero) for part in (seen, sent) for value in (part.min(), part.max())]
+    low, high = min(reached), max(reached)
     if robot.mj.jnt_limited[joint.id]:
         limits = tuple(float(v) for v in robot.mj.jnt_range[joint.id])
         limits_why = "the joint's range in the model"
@@ -186,30 +183,9 @@ def _axis(
     while "__" in name:
         name = name.replace("__", "_")
     return AxisProposal(
-        m, name if name[0].isalpha() else f"a_{name}", slides, unit, why, (limits[0], limits[1]), limits_why, tick,
+        m, name if name[0].isalpha() else f"a_{name}", slides, unit, (limits[0], limits[1]), limits_why, tick,
         velocity, drive, guess, robot.actuators.get(m.joint, ""),
     )  # fmt: skip
-
-
-def _position_unit(seen: np.ndarray, slides: bool, bounds: np.ndarray | None) -> tuple[str, str]:
-    """Unit of positions and why, by how far they reach and by the joint's range in the model, rad or m."""
-    reach = float(np.abs(seen).max())
-    far = float(np.abs(bounds).max()) if bounds is not None else 0.0
-    if slides:
-        if reach > 5.0:
-            return "mm", f"reaches {reach:.4g}, which is hardly metres"
-        return "m", f"reaches {reach:.3g}; ROS has metres"
-    if 0.0 < BEYOND * far < reach <= np.degrees(far):
-        return "deg", f"reaches {reach:.4g}, and the model's joint {far:.3g} rad; as degrees it fits"
-    if reach > DEGREES and reach <= DEGREES_MOST:
-        return "deg", f"reaches {reach:.4g}, which is hardly radians"
-    if reach > DEGREES_MOST:
-        raise InputError(
-            f"Positions reach {reach:.5g}: neither rad nor deg. Are these ticks? Convert them, or write the rig file "
-            "by hand with 'unit: ticks, ticks_per_turn: 4096, zero: 2048'."
-        )
-    doubt = "; if that is degrees, say --position-unit deg" if reach > TURN / 2.0 else ""
-    return "rad", f"reaches {reach:.3g}; ROS has radians{doubt}"
 
 
 def _robot_file(robot: Robot, joints: Sequence[str], folder: Path) -> tuple[Path, list[str]]:
@@ -273,10 +249,10 @@ def _rig_text(
         lines += [f"  {key}: {_yaml(value)}" for key, value in topics.entries.items()]
     lines.append("axes:")
     for a in axes:
-        unit = f", unit: {a.unit}" if a.unit in ("deg", "mm") else ""
+        unit = a.unit.entry
         lines += [
             f"  {a.name}:  # {a.match.why}",
-            f"    command: {{channel: {_yaml(a.match.command)}{unit}}}  # {a.unit}: {a.unit_why}",
+            f"    command: {{channel: {_yaml(a.match.command)}{unit}}}  # {a.unit.name}: {a.unit.why}",
             f"    actuator: {_yaml(a.actuator)}",
             f"    joint: {_yaml(a.match.joint)}",
             f"    limits: [{a.limits[0]:.6g}, {a.limits[1]:.6g}]  # {'m' if a.slides else 'rad'}: {a.limits_why}",
@@ -289,8 +265,9 @@ def _rig_text(
             f"      {signal}: {{joint: {_yaml(a.match.joint)}, quantity: position{unit}{tick}}}  # resolution: {why}"
         )
         if a.velocity:
-            speed = f", unit: {a.unit}/s" if unit else ""
-            lines.append(f"      {signal}_velocity: {{joint: {_yaml(a.match.joint)}, quantity: velocity{speed}}}")
+            lines.append(
+                f"      {signal}_velocity: {{joint: {_yaml(a.match.joint)}, quantity: velocity{a.unit.speed_entry}}}"
+            )
         if a.drive.effort:
             kind = "" if a.drive.effort in ("N m", "N") else f", unit: {a.drive.effort}"
             lines.append(

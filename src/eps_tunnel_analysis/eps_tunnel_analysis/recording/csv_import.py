@@ -2,6 +2,7 @@
 """A table of samples (CSV) to a bag, for rigs that log text."""
 
 import csv
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -124,6 +125,7 @@ def arrays_to_bag(
 
 
 def _cells(table: Path, names: list[str] | None) -> dict[str, list[str]]:
+    """Cells by column; a column of lists, as `[1, 2]` or `1 2`, is one column for each element, as `name[0]`."""
     try:
         with table.open(newline="", encoding="utf-8-sig") as stream:
             sample = stream.read(4096)
@@ -131,15 +133,46 @@ def _cells(table: Path, names: list[str] | None) -> dict[str, list[str]]:
             reader = csv.DictReader(stream, delimiter=max(",;\t", key=sample.split("\n", 1)[0].count), strict=True)
             header = [name.strip() for name in reader.fieldnames or []]
             reader.fieldnames = header
-            missing = [name for name in names or () if name not in header]
-            if missing:
-                raise InputError([f"{table}: {unknown_name('column', name, header)}" for name in missing])
             rows = list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table}: cannot be read as CSV ({error}). Expected text with one header line.") from error
     if not rows:
         raise InputError(f"{table}: no rows below the header.")
-    return {name: [(row[name] or "").strip() for row in rows] for name in (header if names is None else names)}
+    found: dict[str, list[str]] = {}
+    for name in header:
+        found |= _elements(table, name, [(row[name] or "").strip() for row in rows])
+    missing = [name for name in names or () if name not in found]
+    if missing:
+        raise InputError([f"{table}: {unknown_name('column', name, found)}" for name in missing])
+    return found if names is None else {name: found[name] for name in names}
+
+
+def _elements(table: Path, name: str, cells: list[str]) -> dict[str, list[str]]:
+    """One column, or those of its elements where its first cell that is not empty is a list."""
+    first = _list(next(filter(None, cells), ""))
+    if first is None:
+        return {name: cells}
+    rows = [(_list(cell) or []) if cell else [""] * len(first) for cell in cells]
+    odd = next((i for i, row in enumerate(rows) if len(row) != len(first)), None)
+    if odd is not None:
+        raise InputError(
+            f"{table}: line {odd + 2}, column '{name}': '{cells[odd]:.80}' is no list of {len(first)} numbers, as the "
+            "cells above it are. Expected one length throughout."
+        )
+    return {f"{name}[{i}]": [row[i] for row in rows] for i in range(len(first))}
+
+
+def _list(cell: str) -> list[str] | None:
+    """The elements of a cell that is a list of numbers: in brackets, or parted by spaces."""
+    inside = cell.strip("[]()")
+    parts = [part for part in re.split(r"[,;\s]+", inside) if part]
+    if not parts or (len(parts) == 1 and inside == cell):
+        return None
+    try:
+        _ = [float(part) for part in parts]
+    except ValueError:
+        return None
+    return parts
 
 
 def _numbers(table: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
