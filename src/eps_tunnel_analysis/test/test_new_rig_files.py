@@ -46,9 +46,12 @@ def made(folder: Path, mjcf: str, csv: Path, **units: str) -> NewRig:
 
 
 def alone(folder: Path) -> np.ndarray:
-    """What the model does under the target, (T,) rad."""
+    """What the model does under the target, with the drive on throughout or not, (n,) rad."""
     model = load_model(folder / "model.yaml")
-    return np.asarray(simulate(model, TIME, TARGET[:, None]).select(["disc"]).values[0, :, 0])
+    off = np.where((TIME > 1.0) & (TIME < 1.5), np.nan, TARGET)  # the drive is switched off for a while
+    law = model.with_effect("stribeck_friction", "disc")  # acts between MuJoCo's steps
+    runs = [simulate(m, TIME, t[:, None]) for m in (model, law) for t in (TARGET, off)]
+    return np.concatenate([run.select(["disc"]).values[0, :, 0] for run in runs])
 
 
 @pytest.mark.parametrize(

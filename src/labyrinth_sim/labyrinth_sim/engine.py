@@ -124,6 +124,7 @@ class Runner:
         self._drives = plan.drives
         self._fields, self._derived = fields, any(name in mujoco.MjModel._setconst_inputs for name in fields.used)
         self.model = copy.copy(plan.mj)
+        self._disabled = int(plan.mj.opt.disableactuator)  # by the MJCF
         self.data = mujoco.MjData(self.model)
 
     def load(self, simulation: int, qpos: Array, qvel: Array) -> None:
@@ -138,7 +139,7 @@ class Runner:
                     getattr(holder, last)[...] = numbers[simulation]
                 else:
                     setattr(holder, last, numbers[simulation].reshape(-1)[0].item())
-        self.model.opt.disableactuator = 0
+        self.model.opt.disableactuator = self._disabled
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
         self.data.qfrc_applied[:] = self._fields.torque[simulation]
@@ -460,8 +461,8 @@ class Engine:
         self._off, self._any_off = off, bool(off.any())
 
     def _disabled(self, off: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """(...) bits of the actuator groups of the drives that are off (..., u)."""
-        bits = np.zeros(off.shape[:-1], dtype=np.int32)
+        """(...) bits of the actuator groups of the drives that are off (..., u), and of those that the MJCF disables."""
+        bits = np.full(off.shape[:-1], self.plan.mj.opt.disableactuator, dtype=np.int32)
         for i, (_, _, site) in enumerate(self.plan.drives):
             bits |= np.where(off[..., i], 1 << site.group, 0).astype(np.int32)
         return bits
