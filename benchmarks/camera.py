@@ -6,6 +6,7 @@ Times are processor time of one thread, so other work on the machine hardly chan
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from labyrinth_hw.ball_tracker import BallTracker
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
 from labyrinth_hw.testbed.renderer import Renderer
 from labyrinth_hw.testbed.scene import Lighting, Scene
-from labyrinth_hw.testbed.views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src/labyrinth_hw/test"))
+from camera_views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
 
 
 def measure(lens: str, speed: float, rooms: int, frames: int, seed: int) -> dict[str, float]:

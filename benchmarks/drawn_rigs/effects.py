@@ -371,10 +371,6 @@ def _irregular(rig: Rig, r: Reality, a: int, place: str, s: float, u: Array) -> 
     return r.with_path(a, lost=min(0.8, s), delay_jitter=0.1 * s)
 
 
-def _either(*tests: Callable[[Rig, int], bool]) -> Callable[[Rig, int], bool]:
-    return lambda rig, axis: all(test(rig, axis) for test in tests)
-
-
 FORMS: tuple[Form, ...] = (
     Form("coulomb_friction", "coulomb", 1e-4, 0.4, _coulomb, fits=_dry),
     Form("coulomb_friction", "tanh", 1e-4, 0.4, _tanh, fits=_dry),

@@ -66,7 +66,6 @@ class ServoModel:
         stall_torque: N m at the nominal voltage; turns a load share into a nominal torque.
         torque_constant: N m per A at the output; 0 where the servo reports no current.
         voltage: nominal V.
-        no_load_speed: rad/s at the nominal voltage.
         shutdown: names of the bits of the error or hardware error register.
     """
 
@@ -78,7 +77,6 @@ class ServoModel:
     stall_torque: float
     torque_constant: float
     voltage: float
-    no_load_speed: float
     shutdown: dict[int, str]
 
     def register(self, name: str) -> Register:
@@ -247,10 +245,10 @@ def _protocol_2(model: int, *, current: float | None, volts: tuple[int, int], p_
 
 
 def _servo(
-    name: str, number: int, protocol: int, registers: dict[str, Register], figures: tuple[float, float, float, float]
+    name: str, number: int, protocol: int, registers: dict[str, Register], figures: tuple[float, float, float]
 ) -> ServoModel:
-    """figures: stall torque N m, torque constant N m/A (0 without current sensing), nominal V, no-load speed rpm."""
-    torque, constant, volts, speed = figures
+    """figures: stall torque N m, torque constant N m/A (0 without current sensing), nominal V."""
+    torque, constant, volts = figures
     return ServoModel(
         name=name,
         number=number,
@@ -260,7 +258,6 @@ def _servo(
         stall_torque=torque,
         torque_constant=constant,
         voltage=volts,
-        no_load_speed=speed * RPM,
         shutdown=PROTOCOL_1_ERRORS if protocol == 1 else PROTOCOL_2_HARDWARE_ERRORS,
     )
 
@@ -268,7 +265,7 @@ def _servo(
 def _models() -> dict[str, ServoModel]:
     ten_bit, twelve_bit = (1024, 300 * pi / 180), (4096, 2 * pi)
     speed = 0.114 * RPM
-    mx64, mx106 = (6.0, 1.46, 12.0, 63.0), (8.4, 1.62, 12.0, 45.0)
+    mx64, mx106 = (6.0, 1.46, 12.0), (8.4, 1.62, 12.0)
     mx_volts, xl330_volts = (95, 160), (35, 70)
     models = (
         _servo(
@@ -276,14 +273,14 @@ def _models() -> dict[str, ServoModel]:
             117,
             1,
             _protocol_1(117, *ten_bit, 0.111 * RPM, gains=False, current=False),
-            (3.85, 0.0, 16.0, 77.0),
+            (3.85, 0.0, 16.0),
         ),
         _servo(
             "MX-12W",
             360,
             1,
             _protocol_1(360, *twelve_bit, 0.916 * RPM, gains=True, current=False),
-            (0.2, 0.0, 12.0, 470.0),
+            (0.2, 0.0, 12.0),
         ),
         _servo("MX-64", 310, 1, _protocol_1(310, *twelve_bit, speed, gains=True, current=True), mx64),
         _servo("MX-106", 320, 1, _protocol_1(320, *twelve_bit, speed, gains=True, current=True), mx106),
@@ -294,21 +291,21 @@ def _models() -> dict[str, ServoModel]:
             1190,
             2,
             _protocol_2(1190, current=1e-3, volts=xl330_volts, p_gain=400),
-            (0.215, 0.146, 5.0, 383.0),
+            (0.215, 0.146, 5.0),
         ),
         _servo(
             "XL330-M288",
             1200,
             2,
             _protocol_2(1200, current=1e-3, volts=xl330_volts, p_gain=400),
-            (0.52, 0.354, 5.0, 103.0),
+            (0.52, 0.354, 5.0),
         ),
         _servo(
             "XL430-W250",
             1060,
             2,
             _protocol_2(1060, current=None, volts=(65, 120), p_gain=800),
-            (1.4, 0.0, 11.1, 57.0),
+            (1.4, 0.0, 11.1),
         ),
     )
     return {model.name: model for model in models}

@@ -5,12 +5,12 @@ import secrets
 
 import numpy as np
 import pytest
+from camera_views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
 
 from labyrinth_hw.ball_tracker import BallTracker
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
 from labyrinth_hw.testbed.renderer import Renderer
 from labyrinth_hw.testbed.scene import Lens, Lighting, Scene
-from labyrinth_hw.testbed.views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
 from labyrinth_hw.vision import BLUE, GREEN, RED, WHITE, YELLOW, annotated
 
 VIEWS = [CLOSE, FAR, CROOKED]

@@ -4,6 +4,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from camera_views import FAR, intrinsics, layout
 
 from labyrinth_hw.camera import Camera, Intrinsics
 from labyrinth_hw.camera_calibration import calibrate_from_frames, measure_latency, with_latency
@@ -12,7 +13,6 @@ from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
 from labyrinth_hw.nodes import calibrate_camera
 from labyrinth_hw.testbed.renderer import Renderer
 from labyrinth_hw.testbed.scene import Scene
-from labyrinth_hw.testbed.views import FAR, intrinsics, layout
 
 TRUE = Intrinsics(640, 360, 410.0, 412.0, 322.0, 176.0, (-0.15, 0.03, 0.001, -0.0005, 0.0))
 INNER, SQUARE = (8, 5), 0.02

@@ -5,12 +5,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from camera_views import CLOSE, CROOKED, FAR, intrinsics, layout
 
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
 from labyrinth_hw.testbed.renderer import Renderer
 from labyrinth_hw.testbed.scene import Lens, Lighting, Scene
-from labyrinth_hw.testbed.views import CLOSE, CROOKED, FAR, intrinsics, layout
 
 PLAN = DotPlan.from_sizes()
 

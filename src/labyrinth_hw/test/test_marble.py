@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from camera_views import CLOSE, CROOKED, free_place, intrinsics, layout
 
 from labyrinth_hw.ball_tracker import BallTracker
 from labyrinth_hw.errors import InputError
@@ -14,7 +15,6 @@ from labyrinth_hw.marble import Marble
 from labyrinth_hw.nodes.calibrate_camera import main
 from labyrinth_hw.testbed.renderer import Frame, Renderer
 from labyrinth_hw.testbed.scene import Lens, Lighting, Scene
-from labyrinth_hw.testbed.views import CLOSE, CROOKED, free_place, intrinsics, layout
 
 COLOURS = {"blue": (190, 70, 30), "green": (50, 150, 40), "red": (40, 40, 200), "white": (215, 220, 220)}  # BGR
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from camera_views import CLOSE, intrinsics, layout
 
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
@@ -13,7 +14,6 @@ from labyrinth_hw.ocam import OCamLens
 from labyrinth_hw.settings import CameraSettings
 from labyrinth_hw.testbed.renderer import Renderer
 from labyrinth_hw.testbed.scene import Scene
-from labyrinth_hw.testbed.views import CLOSE, intrinsics, layout
 from labyrinth_hw.vision import lens_of
 
 SIZE = (900, 560)  # px of the made-up wide camera

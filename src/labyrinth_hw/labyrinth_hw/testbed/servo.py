@@ -11,8 +11,6 @@ import numpy as np
 
 from labyrinth_hw.testbed.quantities import Array
 
-TURN = 2 * np.pi
-
 
 def level(q: SimpleNamespace, speed: Array, load: Array, softening: Array) -> Array:
     """Sliding friction torque, N m, at this speed and transmitted torque, before its sign.
