@@ -26,7 +26,7 @@ import numpy as np
 from counting import VISIBLE, wilson
 from diagnosis import earlier, write
 from drawn_rigs.cases import Case, draw
-from drawn_rigs.reading import Model, Play, floors_on, loaded, propose_on, with_effect_fitted
+from drawn_rigs.reading import Dependence, Model, Play, floors_on, loaded, propose_on, with_effect_fitted
 
 TUNING = 100_000
 KINDS = ("healthy", "outside", "left_out")
@@ -84,8 +84,8 @@ def _said(case: Case, threads: int, thorough: bool) -> Record:
         first = proposal.depends.first
         one: Record = {
             "axis": proposal.axis, "place": proposal.place, "kind": proposal.kind, "equation": proposal.equation,
-            "curve": first.curve if first else "", "period": first.period if first else None,
-            "ties": [d.curve for d in proposal.depends.ties], "share": first.share if first else 0.0,
+            "curve": _named(first) if first else "", "variable": first.variable if first else "", "period": first.period if first else None,
+            "ties": [_named(d) for d in proposal.depends.ties], "share": first.share if first else 0.0,
             "chance": proposal.depends.chance, "floors": list(proposal.missing.floors),
         }  # fmt: skip
         if other and proposal.model is not None:
@@ -99,6 +99,11 @@ def _said(case: Case, threads: int, thorough: bool) -> Record:
         if case.kind == "left_out" and record["base_on_own"] > SHOWS:
             record["true_on_other"] = floors_on(_true_form(base, plays, axis, case, threads), other, axis, threads)
     return record
+
+
+def _named(said: Dependence) -> str:
+    """The free curve over what is named; a command is no angle, and a pair is not one of the two."""
+    return "pair" if said.pair else "command" if said.variable == "command" else said.curve
 
 
 def _axis(model: Model, case: Case) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 from eps_tunnel_analysis.diagnose.addition import add_effects
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
+from eps_tunnel_analysis.law.depends import Dependence
 from eps_tunnel_analysis.law.proposal import Proposal, propose_on
 from eps_tunnel_analysis.law.refit import floors_on, with_effect_fitted
 from eps_tunnel_analysis.recording.decode import read_all
@@ -19,7 +20,7 @@ from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import effects
 from labyrinth_sim.model import Model, load_model
 
-__all__ = ["BagWriter", "Diagnosis", "Model", "Play", "Proposal", "add_effects", "diagnose", "floors_on",
+__all__ = ["BagWriter", "Dependence", "Diagnosis", "Model", "Play", "Proposal", "add_effects", "diagnose", "floors_on",
            "library_names", "loaded", "propose_on", "typestore", "with_effect_fitted"]  # fmt: skip
 
 

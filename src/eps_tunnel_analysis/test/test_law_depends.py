@@ -15,19 +15,19 @@ SECONDS, STEP, NOISE = 6.0, 0.02, 0.3
 TIME = np.arange(0.0, SECONDS, STEP)
 
 
-def motion(angle: Array) -> Motion:
+def motion(angle: Array, command: Array) -> Motion:
     speed = np.gradient(angle, STEP)
     direction = np.sign(speed)
     turns = np.flatnonzero(np.diff(direction, prepend=0.0))
     since = TIME - TIME[turns[np.searchsorted(turns, np.arange(len(TIME)), side="right") - 1]]
     load = 0.2 + 0.1 * np.abs(np.sin(1.3 * TIME))
     none = np.empty(0)
-    return Motion(TIME, angle, speed, direction, since, load, 0.0 * TIME, angle, none)
+    return Motion(TIME, angle, speed, direction, since, load, 0.0 * TIME, command, none)
 
 
-def said(angle: Array, force: Array, seed: int = 0) -> Depends:
+def said(angle: Array, force: Array, seed: int = 0, command: Array | None = None) -> Depends:
     """Of residuals that a force leaves which the motor's own inertia smooths, and noise."""
-    moved = motion(angle)
+    moved = motion(angle, angle if command is None else command)
     lag = np.exp(-np.maximum(TIME[:, None] - TIME[None, :], 0.0) / 0.05) * (TIME[:, None] >= TIME[None, :])
     answer = 5.0 * lag
     residuals = answer @ force + NOISE * np.random.default_rng(seed).normal(size=len(TIME))
@@ -63,6 +63,34 @@ def test_the_variable_is_named_and_noise_names_none(form: str) -> None:
     if form == "waves":
         assert found.first.period == pytest.approx(period, rel=0.03)
         assert found.first.traced == "2 waves a turn of the motor"
+
+
+def test_a_product_of_two_variables_is_named_as_a_pair() -> None:
+    speed = np.gradient(SWINGS, STEP)
+    found = said(SWINGS, np.cos(3.0 * SWINGS) * speed)
+    assert found.first is not None and found.first.pair
+    assert {"angle", "speed"} <= set(found.first.variable.replace(",", " ").split())
+    assert found.first.share > max(d.share for d in found.dependences if not d.pair) + 0.1
+    drag = said(SWINGS, -0.1 * speed * np.abs(speed))
+    assert drag.first is not None and not drag.first.pair and drag.words == "speed"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_noise_names_no_pair_either(seed: int) -> None:
+    found = said(SWINGS, 0.0 * TIME, seed)
+    assert found.first is None and any(d.pair for d in found.dependences)
+
+
+def test_the_direction_and_the_command_are_variables_of_their_own() -> None:
+    speed = np.gradient(SWINGS, STEP)
+    found = said(SWINGS, -0.5 * np.sign(speed))
+    assert found.first is not None and (found.first.variable, found.first.curve) == ("direction", "curve_speed")
+    # A joint that trails its command: what depends on the command is no function of the angle.
+    ahead = np.interp(TIME + 0.3, TIME, SWINGS)
+    found = said(SWINGS, np.tanh(4.0 * ahead), command=ahead)
+    assert found.first is not None and (found.first.variable, found.first.curve) == ("command", "curve_angle")
+    off = said(SWINGS, -0.1 * speed * np.abs(speed), command=np.full_like(SWINGS, np.nan))
+    assert "command" not in [d.variable for d in off.dependences]
 
 
 def test_variables_that_the_motion_ties_together_are_said_together() -> None:

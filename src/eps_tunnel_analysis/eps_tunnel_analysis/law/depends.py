@@ -24,6 +24,8 @@ DRAWS = 400  # of the block bootstrap
 PERIODS = 120  # tried, evenly in the logarithm; by chance a third of them
 MOST_WAVES = 40.0  # within the range visited
 LEAST_WAVES = 0.8
+PAIRED = 3  # variables whose pairs are tried: those that explain most by themselves
+COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
 ALIKE = 0.05  # of the misfit: what explains so little more says no more
@@ -191,8 +193,9 @@ class Variable:
         name: for people, as "angle".
         curve: the free curve that acts so.
         place: an axis, or a sensor's signal.
-        rows: of each play, what each of the curve's ten knots adds over time.
+        rows: of each play, what each of the curve's knots adds over time: ten, or one for a direction.
         signal: number of the sensor; None for a force.
+        shares: of each play (n,) its share of the curve's range; `signs` (n,), with which it acts. Of forces.
     """
 
     name: str
@@ -200,9 +203,16 @@ class Variable:
     place: str
     rows: Rows = field(repr=False)
     signal: int | None = None
+    shares: Rows = field(default=(), repr=False)
+    signs: Rows = field(default=(), repr=False)
+
+    @property
+    def quantity(self) -> str:
+        """What it is over, whether it acts as a friction or not."""
+        return self.name.partition(",")[0]
 
     def columns(self, design: Design, moved: Sequence[float] | None = None) -> Array:
-        """(R, 10) change of a design's residuals, moved in time or not."""
+        """(R, k) change of a design's residuals, moved in time or not."""
         return design.columns(self.rows, self.signal, moved)
 
 
@@ -267,11 +277,19 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
     each = [shares(p.motion, spans) for p in design.plays]
     found = []
     for name in each[0]:
+        over = [p.at_nodes(own[name][1]) for p, own in zip(design.plays, each, strict=True)]
+        signs = [p.at_nodes(own[name][2]) for p, own in zip(design.plays, each, strict=True)]
         rows = [
             np.column_stack([p.at_nodes(column) for column in (hats(own[name][1]) * own[name][2][:, None]).T])
             for p, own in zip(design.plays, each, strict=True)
         ]
-        found.append(Variable(each[0][name][0], name, missing.axis, rows))
+        found.append(Variable(each[0][name][0], name, missing.axis, rows, shares=over, signs=signs))
+    found += _of_command(design, spans["curve_angle"])
+    directions = [p.at_nodes(p.motion.direction) for p in design.plays]
+    over, signs = [0.5 + 0.5 * own for own in directions], [np.ones_like(own) for own in directions]
+    found.append(
+        Variable("direction", "curve_speed", missing.axis, [own[:, None] for own in directions], None, over, signs)
+    )
     span = spans["curve_angle"]
     for number in sensors(design, positions):
         errors = [hats(0.5 + 0.5 * (a - span["centre"]) / span["half"]) for a in design.angles(number)]
@@ -279,6 +297,50 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
             Variable("angle, as a sensor's error", "curve_sensor", missing.signals[number], errors, number)
         )  # fmt: skip
     return found
+
+
+def _of_command(design: Design, angles: Mapping[str, float]) -> list[Variable]:
+    """The drive's target, over the range of the angles; nothing where the drive is off, and none if it always is."""
+    rows, over, signs = [], [], []
+    for p in design.plays:
+        on = np.isfinite(p.motion.command)
+        share = np.where(on, 0.5 + 0.5 * (np.nan_to_num(p.motion.command) - angles["centre"]) / angles["half"], 0.5)
+        rows.append(np.column_stack([p.at_nodes(column) for column in (hats(share) * on[:, None]).T]))
+        over.append(p.at_nodes(share))
+        signs.append(p.at_nodes(on.astype(float)))
+    if not any(own.any() for own in signs):
+        return []
+    return [Variable("command", "curve_angle", design.missing.axis, rows, None, over, signs)]
+
+
+def pairs(every: Sequence[Variable], shares: Sequence[float]) -> list[Variable]:
+    """Surfaces over two variables, of those forces that explain most by themselves.
+
+    Args:
+        shares: that each of the variables explains.
+    """
+    best: list[Variable] = []
+    for _, i in sorted((-share, i) for i, share in enumerate(shares)):
+        if every[i].signal is None and every[i].quantity not in [v.quantity for v in best]:
+            best.append(every[i])
+    best = best[:PAIRED]
+    return [_pair(a, b) for i, a in enumerate(best) for b in best[i + 1 :]]
+
+
+def _pair(a: Variable, b: Variable) -> Variable:
+    rows = []
+    for over_a, over_b, sign_a, sign_b in zip(a.shares, b.shares, a.signs, b.signs, strict=True):
+        # Of two frictions one acts: the product would lose its direction.
+        sign = sign_a if a.name != a.quantity else sign_b
+        product = tents(over_a)[:, :, None] * tents(over_b)[:, None, :] * sign[:, None, None]
+        rows.append(product.reshape(len(sign), -1))
+    return Variable(f"{a.name} and {b.name}", a.curve, a.place, rows)
+
+
+def tents(share: Array) -> Array:
+    """(n, 5) weight of each of a few knots, linear between them."""
+    place = (COARSE - 1) * np.clip(share, 0.0, 1.0)
+    return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - np.arange(COARSE)), 0.0))
 
 
 def sensors(design: Design, positions: Sequence[str]) -> list[int]:
@@ -301,6 +363,7 @@ class Dependence:
         named: whether it explains more than chance does, and as much as is worth telling.
         period: rad of the waves over the angle that explain it better than a smooth function, else None.
         traced: what turns with that period, as the rig file states ratios; "" if nothing does.
+        pair: whether it is over two variables at once; `curve` is then of the one that explains more by itself.
     """
 
     variable: str
@@ -312,6 +375,7 @@ class Dependence:
     named: bool
     period: float | None = None
     traced: str = ""
+    pair: bool = False
 
 
 @dataclass(frozen=True)
@@ -353,10 +417,13 @@ def depends(
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
     chance = float(np.quantile([_by_chance(design, predictor, every, moved) for moved in drawn], 1.0 - LEVEL))
     found: list[tuple[Dependence, Explained]] = []
-    for variable in every:
-        e = predictor.explained(variable.columns(design), curve=True)
+    singly = [predictor.explained(v.columns(design), curve=True) for v in every]
+    both = pairs(every, [e.share for e in singly])
+    alone = len(every)
+    explains = [*singly, *(predictor.explained(v.columns(design)) for v in both)]
+    for i, (variable, e) in enumerate(zip([*every, *both], explains, strict=True)):
         known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
-        found.append((Dependence(variable.name, variable.curve, variable.place, *known), e))
+        found.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
     found += waves(design, predictor, positions, chance, seed, ratios or {})
     found.sort(key=lambda pair: -pair[0].share)
     ordered = tuple(d for d, _ in found)
@@ -366,25 +433,32 @@ def depends(
         return Depends(ordered, chance)
     # Waves have a period of their own to choose, so a smooth curve that explains as much is likelier.
     smooth = [d for d in near if not d.period]
-    first = min(smooth or near, key=lambda d: PLAIN.index(d.curve))
-    first = next((d for d in near if d.period and (d.curve, d.place) == (first.curve, first.place)), first)
-    same = {first.curve, *(FRICTION if first.curve == "curve_speed" else ())}
-    ties = [d for d in near if d.place != first.place or d.curve not in same]
-    return Depends(ordered, chance, first, tuple(ties))
+    first = min(smooth or near, key=_plain)
+    first = next((d for d in near if d.period and (d.variable, d.place) == (first.variable, first.place)), first)
+    same = {first.variable, *(("direction", "speed") if first.curve == "curve_speed" else ())}
+    friction = FRICTION if first.curve == "curve_speed" else ()
+    ties = [d for d in near if d.place != first.place or (d.variable not in same and d.curve not in friction)]
+    return Depends(ordered, chance, first, tuple(d for d in ties if not d.pair or first.pair))
+
+
+def _plain(d: Dependence) -> tuple[bool, int, bool]:
+    """Less for what is plainer: one variable before two, the direction before the speed, an angle before a command."""
+    return d.pair, PLAIN.index(d.curve), d.variable in ("speed", "command")
 
 
 def _by_chance(design: Design, predictor: Predictor, every: Sequence[Variable], moved: Sequence[float]) -> float:
     """The largest share that any variable, or waves of any period, explain once moved in time."""
     forces = [v for v in every if v.signal is None]
     tried = [sines(design, float(p)) for p in periods(design)[::3]]
+    ends = np.cumsum([v.rows[0].shape[1] for v in forces])
     stacked = [np.hstack(rows) for rows in zip(*(v.rows for v in forces), *tried, strict=True)]
     columns = design.columns(stacked, None, moved)
-    split = KNOTS * len(forces)
-    blocks = np.split(columns[:, :split], len(forces), axis=1)
-    blocks += [v.columns(design, moved) for v in every if v.signal is not None]
+    blocks = np.split(columns[:, : ends[-1]], ends[:-1], axis=1)
     shares = [predictor.explained(block, curve=True).share for block in blocks]
-    shares += [predictor.explained(block).share for block in np.split(columns[:, split:], len(tried), axis=1)]
-    return max(shares)
+    surfaces = [predictor.explained(v.columns(design, moved)).share for v in pairs(forces, shares)]
+    shares += [predictor.explained(v.columns(design, moved), curve=True).share for v in every if v.signal is not None]
+    shares += [predictor.explained(block).share for block in np.split(columns[:, ends[-1] :], len(tried), axis=1)]
+    return max([*shares, *surfaces])
 
 
 def _better(one: Explained, other: Explained, seed: int) -> bool:
