@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from itertools import pairwise, product
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
@@ -19,11 +20,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from short_sequence import SHORTER
 
+from eps_tunnel_analysis.compare import compare
+from eps_tunnel_analysis.loop.gap import Gap
+from eps_tunnel_analysis.nodes.demo import _fall as fall
 from eps_tunnel_analysis.nodes.demo import main as run_demo
 from eps_tunnel_analysis.nodes.rig_processes import executable
+from eps_tunnel_analysis.outputs import shown_share
 from eps_tunnel_analysis.recording.decode import read
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_sim.model import load_model
+from labyrinth_sim.trials import Trials
 
 pytestmark = pytest.mark.realtime
 FEW = ("--candidates", "gravity_load", "return_spring")
@@ -61,6 +67,19 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
         process.kill()
     assert process.returncode == 0, f"{printed}\n{complaints}"
     return out / "demo-1", printed, complaints
+
+
+def test_the_fall_is_told_beside_what_the_rig_reaches_against_itself() -> None:
+    real = np.random.default_rng(1).normal(0.0, 1e-3, (3, 100, 1))
+    gaps = [Gap(compare(trials(real), trials(np.full((1, 100, 1), off))), (), 0.0) for off in (0.02, 0.0)]
+    assert gaps[1].itself > 0
+    assert fall(*gaps).endswith(f"; the rig against itself reaches {shown_share(gaps[1].itself)}.")
+
+
+def trials(values: np.ndarray) -> Trials:
+    """Of one signal without a command."""
+    none = np.zeros((*values.shape[:2], 0))
+    return Trials(np.arange(values.shape[1]) * 0.01, ("motor_x",), ("rad",), values, (), none)
 
 
 def test_the_demo_prints_the_table_and_the_path_of_the_report(finished: tuple[Path, str, str]) -> None:

@@ -63,7 +63,7 @@ class Shown:
         share = (0.5,) * 5
         ks = (1.0, 2.0, 3.0, 4.0, 5.0)
         rig = (0.2, 0.4, 0.6, 0.8, 0.9) if trials > 2 else ()
-        self.state.put(GapPart("m", SIGNALS, ks, (share, share), share, rig, 50, trials))
+        self.state.put(GapPart("m", SIGNALS, ks, (share, share), share, rig, 50, trials, (rig, rig)))
 
     def until(self, script: str) -> object:
         return self.page.until(script)
@@ -111,8 +111,11 @@ def test_with_one_trial_the_page_collects_and_nothing_is_red(shown: Shown) -> No
     shown.until("!document.getElementById('tunnel-what').textContent.includes('Collecting')")
     assert shown.red() > 0
     assert "three trials" in shown.page.evaluate("document.getElementById('joint-rig').textContent")
+    above = "document.querySelector('#tunnels .name span').textContent"
+    assert shown.until(above) == "50.0 % alike"
     shown.play(3)
     shown.until("document.getElementById('joint-rig').textContent == 'the rig against itself: 20.0 %'")
+    shown.until(f"{above} == '50.0 % alike, the rig against itself 20.0 %'")
 
 
 def test_every_part_reaches_its_panel(shown: Shown) -> None:
@@ -281,6 +284,7 @@ def test_a_slider_moves_a_value_and_the_simulation_follows(opened: Page, played:
         opened.until(f"{CHARTS} == 4")  # the four signals of the bag, instead of the two that were live
         as_it_is, red = percent(opened.evaluate(joint)), shown.red()
         assert percent(opened.evaluate(word)) == as_it_is
+        assert re.search(r"; the rig against itself [0-9.]+ %$", opened.evaluate(word))
         opened.choose("what-if-value", "10", "input")
         opened.until(f"{word}.startsWith('10 1/s instead of 20')")
         opened.until("document.getElementById('joint-before').textContent.includes('labyrinth_mx64')")

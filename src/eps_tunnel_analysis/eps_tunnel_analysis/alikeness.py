@@ -178,6 +178,23 @@ def rig_against_itself(trials: Trials, ks: Iterable[float] = KS, smoothed: bool 
     )
 
 
+def joint_against_itself(several: Sequence[Trials], ks: Iterable[float] = KS) -> dict[float, float]:
+    """k -> joint share that the rig reaches against itself over several commands, weighed by their samples.
+
+    NaN where no command has enough trials.
+    """
+    factors = tuple(ks)
+    seen, alike = 0.0, np.zeros(len(factors))
+    for trials in several:
+        found = rig_against_itself(trials, factors)
+        known: Mask = np.any(~np.isnan(trials.values), axis=0)  # (T, m)
+        samples = float(np.all(known, axis=1).sum())
+        if found and samples:
+            seen += samples
+            alike += samples * np.array([at.joint for at in found])
+    return dict(zip(factors, (alike / seen if seen else alike + math.nan).tolist(), strict=True))
+
+
 def _some(trials: Trials, chosen: Mask) -> Trials:
     return replace(trials, values=trials.values[chosen], commands=trials.commands[chosen])
 

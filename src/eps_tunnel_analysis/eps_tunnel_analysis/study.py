@@ -344,11 +344,14 @@ class StudyGap(_InNotebook):
         print_comparison(self.comparison, out=out)
 
     def __repr__(self) -> str:
+        from eps_tunnel_analysis.diagnose.falls import of_rig
+
         c, first = self.comparison, self.comparison.alikeness[0]
+        itself = c.against_itself[0].joint if c.against_itself else float("nan")
         errors = ", ".join(f"{e.signal} {shown_value(e.command_error, e.unit)}" for e in c.errors)
         return (
             f"Gap of {c.real.count} real trial{'s' * (c.real.count > 1)} to {_name(self.model) or 'the simulation'}: "
-            f"error {errors}; {shown_share(first.joint)} alike at k = {first.k_real:g}"
+            f"error {errors}; {shown_share(first.joint)} alike at k = {first.k_real:g}{of_rig(itself)}"
         )
 
 

@@ -49,6 +49,10 @@ def test_it_names_the_value_that_changed_and_draws_the_dates(dates: Path, tmp_pa
         rows = list(csv.DictReader(stream))
     assert [r["date"] for r in rows] == ["then", "june", "now"]
     assert rows[0]["drive.x.p"] == "" and float(rows[1]["drive.x.p"]) == pytest.approx(16.0, abs=0.5)
+    assert 0 < float(rows[1]["alikeness_k1_rig"]) < 1
+    for row, date in zip(rows, told["dates"], strict=True):
+        for at in date["alikeness"]:
+            assert float(row[f"alikeness_k{at['k']:g}_rig"]) == at["rig_against_itself"]
     assert "<svg" in (out / "dates.svg").read_text()
 
 

@@ -5,7 +5,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from command_line import ENVIRONMENT, eps_tunnel
 from small_recordings import record, write_rig
 
 import eps_tunnel_analysis as eps
+from eps_tunnel_analysis.alikeness import AgainstItself
 from labyrinth_sim.errors import InputError
 
 LINES, COLUMNS = 45, 140  # of a screen
@@ -75,6 +76,9 @@ def test_the_gap_says_how_far_and_shows_where(study: Any) -> None:
     assert list(gap.alikeness) == [1, 3]
     assert gap.error == pytest.approx(gap.comparison.errors[0].command_error)
     assert repr(gap).startswith("Gap of 2 real trials to m: error arm ")
+    assert "itself" not in repr(gap), "two trials do not tell it"
+    third = replace(gap.comparison, against_itself=(AgainstItself(1.0, {"arm": 0.5}, 0.5),))
+    assert repr(replace(gap, comparison=third)).endswith(" alike at k = 1; the rig against itself reaches 50.00 %")
     assert "k = 3" in str(gap)
     assert "<svg" in gap._repr_html_()
 

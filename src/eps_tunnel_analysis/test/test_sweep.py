@@ -4,6 +4,7 @@
 import csv
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fit_cases import TRUTH, bag_of, made_by, plays, start, step
 
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.fit.calibrate import judge
+from eps_tunnel_analysis.report.values_pictures import sweep_picture
 from eps_tunnel_analysis.simulated import Play, roll_out
 from eps_tunnel_analysis.values.sweep import sweep
 from labyrinth_sim.errors import InputError
@@ -29,6 +31,29 @@ def test_each_point_says_what_compare_says_of_a_model_with_that_value() -> None:
         assert swept.errors[i] == pytest.approx([e.command_error for e in shown.errors], rel=1e-12)
         assert swept.alikeness[i].tolist() == [list(a.shares.values()) for a in shown.alikeness]
         assert swept.joint[i].tolist() == [a.joint for a in shown.alikeness]
+        assert swept.itself == tuple(a.joint for a in shown.against_itself)
+
+
+def test_the_rig_against_itself_stands_beside_the_alikeness(tmp_path: Path) -> None:
+    (play,) = plays((3.0,))
+    for i in range(3):
+        one = replace(play.trials, values=play.trials.values[[i]], commands=play.trials.commands[[i]])
+        bag_of(tmp_path / f"bag{i}", one)
+    told = eps_tunnel("sweep", "drive.x.p=12:24:3", "--real", tmp_path, "--model", "labyrinth", "--k", 1)
+    assert told.stdout.count("rig against itself") == 1
+    for asked in (["drive.x.p=12:24:3"], ["drive.x.p=12:24:2", "drive.x.delay=0.01:0.03:2"]):
+        swept = sweep(start().with_values(RIGHT), [play], asked, ks=(1.0,))
+        (best,) = swept.to_json()["most_alike"]
+        assert best["rig_against_itself"] == swept.itself[0] and 0 < swept.itself[0] < 1
+        header, rows = swept.rows()
+        assert {row[header.index("alikeness_jointly_k1_rig")] for row in rows} == {swept.itself[0]}
+        above = sweep_picture(swept).axes[0]
+        words = [above.get_title(), *above.get_legend_handles_labels()[1]]
+        assert any("against itself" in text for text in words)
+        alone = sweep(start().with_values(RIGHT), plays((3.0,), trials=1), asked, ks=(1.0,))
+        assert np.isnan(alone.itself[0])
+        above = sweep_picture(alone).axes[0]
+        assert not any("itself" in text for text in (above.get_title(), *above.get_legend_handles_labels()[1]))
 
 
 def test_several_plays_count_as_judge_counts_them() -> None:

@@ -22,7 +22,7 @@ def test_an_answer_is_what_compare_says_of_a_model_with_that_value() -> None:
         answer = prepared.with_value("drive.x.p", p)
         assert [a.joint for a in answer.alikeness] == [a.joint for a in shown.alikeness]
         np.testing.assert_array_equal(answer.simulated, simulated.select(prepared.tunnel.signals).values[0])
-        assert prepared.itself == tuple(one.joint for one in shown.against_itself)
+        assert prepared.itself == shown.against_itself
     assert [a.joint for a in answer.alikeness] == [a.joint for a in prepared.given.alikeness]
 
 

@@ -140,10 +140,9 @@ def _write_csv(path: Path, dates: "Sequence[DateOfRig]") -> None:
     ks = list(dates[0].alikeness)
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(
-            ["date", *(f"alikeness_k{k:g}" for k in ks), *(f"{n}{w}" for n in names for w in ("", "_half"))]
-        )
+        shares = [f"alikeness_k{k:g}{of}" for k in ks for of in ("", "_rig")]
+        writer.writerow(["date", *shares, *(f"{n}{w}" for n in names for w in ("", "_half"))])
         for date in dates:
             known: Mapping[str, tuple[float, float]] = {v.name: (v.now, v.half_width) for v in date.values}
             row = [cell for n in names for cell in known.get(n, ("", ""))]
-            writer.writerow([date.label, *(date.alikeness[k] for k in ks), *row])
+            writer.writerow([date.label, *(of[k] for k in ks for of in (date.alikeness, date.itself)), *row])

@@ -3,6 +3,7 @@
 
 import argparse
 import csv
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,7 @@ from eps_tunnel_analysis.outputs import (
     shown_share,
     shown_value,
 )
-from eps_tunnel_analysis.terminal import console, print_notes, rollout_progress, table
+from eps_tunnel_analysis.terminal import ITSELF, console, print_notes, rollout_progress, table
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.values.sweep import Sweep
@@ -108,11 +109,10 @@ def _print(swept: "Sweep") -> None:
         console().print(f"{v.name}: {points}; the model has {shown_number(v.given, 4)}", soft_wrap=True, markup=False)
     least = content["least_error"]
     rows = [("least error E", shown_value(swept.best(swept.mean_error, False)[1], swept.units[0]), least["at"])]
-    rows += [
-        (f"most alike, k = {best['k']:g}", shown_share(best["alikeness"]), best["at"])
-        for best in content["most_alike"]
-    ]  # fmt: skip
+    for best, rig in zip(content["most_alike"], swept.itself, strict=True):
+        rows.append((f"most alike, k = {best['k']:g}", shown_share(best["alikeness"]), best["at"]))
+        rows += [] if math.isnan(rig) else [(f"  {ITSELF}", shown_share(rig), {})]
     table(
         console(), "Best within the range", ("", "", *names),
-        [(what, figure, *(shown_number(at[n], 4) for n in names)) for what, figure, at in rows],
+        [(what, figure, *(shown_number(at[n], 4) if at else "" for n in names)) for what, figure, at in rows],
     )  # fmt: skip

@@ -93,7 +93,8 @@ class RunPart:
 class GapPart:
     """Alikeness of the command last played: shares (m, n) and joint (n,) over n factors ks; None where not known.
 
-    rig: (n,) what the rig reaches against itself, jointly; empty with too few trials.
+    rig, rig_shares: (n,) and (m, n) what the rig reaches against itself, jointly and by signal; empty, or m empty
+        rows, with too few trials.
     """
 
     model: str
@@ -104,6 +105,7 @@ class GapPart:
     rig: tuple[float | None, ...]
     samples: int
     trials: int
+    rig_shares: tuple[tuple[float | None, ...], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,8 @@ def _part(prepared: WhatIf, changed: WhatIfAnswer | None, wanted: _Wanted, numbe
         ks=prepared.ks,
         shares=tuple(tuple(a.shares[s] for a in shown.alikeness) for s in prepared.tunnel.signals),
         joint=tuple(a.joint for a in shown.alikeness),
-        rig=prepared.itself,
+        rig=tuple(one.joint for one in prepared.itself),
+        rig_shares=tuple(tuple(one.shares[s] for one in prepared.itself) for s in prepared.tunnel.signals),
         samples=len(prepared.tunnel.time),
         trials=prepared.tunnel.trials,
     )

@@ -317,16 +317,19 @@ class Steps:
 
     def gap(
         self, signals: Sequence[str], ks: Sequence[float], shares: Sequence[float], joint: Sequence[float],
-        samples: int, trials: int, rig: Sequence[float] = (),
+        samples: int, trials: int, rig: Sequence[float] = (), rig_shares: Sequence[float] = (),
     ) -> None:  # fmt: skip
         """Figures of the live analysis: shares row by row, all k of the first signal first; `rig` is what it reaches
-        against itself, jointly, empty where that is not known."""
+        against itself, jointly, `rig_shares` the same by signal; both are empty where that is not known."""
         if not self._fresh:
             return
         n = len(ks)
-        rows = tuple(tuple(map(_known, shares[i * n : (i + 1) * n])) for i in range(len(signals)))
+        rows, of_rig = (
+            tuple(tuple(map(_known, each[i * n : (i + 1) * n])) for i in range(len(signals)))
+            for each in (shares, rig_shares)
+        )
         jointly, itself = (tuple(map(_known, values)) for values in (joint, rig))
-        self._gap = GapPart(self.model, tuple(signals), tuple(ks), rows, jointly, itself, samples, trials)
+        self._gap = GapPart(self.model, tuple(signals), tuple(ks), rows, jointly, itself, samples, trials, of_rig)
         self._state.put(self._gap)
         if self._steps and n and trials >= LEAST_TRIALS:
             smallest = min(range(n), key=lambda i: ks[i])

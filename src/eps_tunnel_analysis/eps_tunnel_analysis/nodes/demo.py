@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
-from eps_tunnel_analysis.diagnose.falls import addition_sentences
+from eps_tunnel_analysis.diagnose.falls import addition_sentences, of_rig
 from eps_tunnel_analysis.loop.experimenter import Added, Experimenter, Plan, Played
 from eps_tunnel_analysis.loop.gap import Gap
 from eps_tunnel_analysis.loop.reason import DiagnosisOptions, Reason
@@ -113,7 +113,7 @@ def _fall(before: Gap, after: Gap) -> str:
     k1 = [f"{100 * min(gap.alikeness.items())[1]:.1f} %" for gap in (before, after)]
     return (
         f"On a fresh play the error {verb} against the model as given, from {old} to {new}; alikeness at k = 1 went "
-        f"from {k1[0]} to {k1[1]}."
+        f"from {k1[0]} to {k1[1]}{of_rig(after.itself)}."
     )
 
 

@@ -16,9 +16,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from eps_tunnel_analysis.monitor.access import SHORTEST_TOKEN, is_loopback, new_token
 from eps_tunnel_analysis.monitor.parts import Health, Pose, Scene, VerdictPart
-from eps_tunnel_analysis.monitor.server import MonitorServer
+from eps_tunnel_analysis.monitor.server import SHORTEST_TOKEN, MonitorServer, is_loopback, new_token
 from eps_tunnel_analysis.monitor.session import Session
 from eps_tunnel_analysis.monitor.state import RecentHealth, State, Steps
 from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
@@ -109,6 +108,7 @@ class Inputs:
                 figures.samples,
                 figures.trials,
                 figures.rig_joint,
+                figures.rig_alikeness,
             )
             with self._state.tunnel() as table:
                 table.trials = figures.trials
@@ -170,7 +170,8 @@ class Inputs:
 def _fits_srg(figures: Srg) -> bool:
     n = len(figures.k)
     wanted = len(figures.signals) * n
-    return (len(figures.alikeness), len(figures.joint)) == (wanted, n) and len(figures.rig_joint) in (0, n)
+    rig = len(figures.rig_alikeness), len(figures.rig_joint)
+    return (len(figures.alikeness), len(figures.joint)) == (wanted, n) and rig in ((0, 0), (wanted, n))
 
 
 def _fits_tunnel(sample: TunnelSample) -> bool:

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from eps_tunnel_analysis.outputs import shown_unit
+from eps_tunnel_analysis.outputs import shown_share, shown_unit
 from eps_tunnel_analysis.report.pictures import REAL_COLOUR, STYLE
 from eps_tunnel_analysis.values.dates import DateOfRig
 from eps_tunnel_analysis.values.sweep import Sweep, SweptValue
@@ -16,6 +16,7 @@ from labyrinth_sim.trials import Array
 
 GIVEN_COLOUR = "#495057"
 SHADES = "viridis"
+ITSELF = "the rig\nagainst itself"
 
 
 def save_svg(figure: Figure, path: Path) -> Path:
@@ -39,6 +40,10 @@ def _lines(sweep: Sweep) -> Figure:
     for i, k in enumerate(sweep.ks):
         shade = 0.85 * (1.0 - i / max(len(sweep.ks), 2))
         above.plot(scale * value.points, 100 * sweep.joint[:, i], ".-", color=str(shade * 0.8), label=f"k = {k:g}")
+        if np.isfinite(sweep.itself[i]):
+            above.axhline(100 * sweep.itself[i], color=str(shade * 0.8), ls=":", lw=1)
+    if np.isfinite(sweep.itself).any():
+        above.plot([], [], ":", color="0.4", lw=1, label=ITSELF)
     what = "alike in every signal" if len(sweep.signals) > 1 else "alikeness"
     above.set(ylabel=f"{what}, %", ylim=(-3, 103))
     for i, signal in enumerate(sweep.signals):
@@ -60,7 +65,10 @@ def _maps(sweep: Sweep) -> Figure:
     factor, unit = shown_unit(sweep.units[0])
     error = factor * sweep.mean_error
     panels: list[tuple[str, Array, tuple[float, float] | None]]
-    panels = [(f"alikeness, k = {k:g}, %", 100 * sweep.joint[..., i], (0, 100)) for i, k in enumerate(sweep.ks)]
+    panels = [
+        (f"alikeness, k = {k:g}, %{_of_rig(sweep.itself[i])}", 100 * sweep.joint[..., i], (0, 100))
+        for i, k in enumerate(sweep.ks)
+    ]
     panels.append((f"error E, {unit}" if unit else "error E", np.where(np.isfinite(error), error, np.nan), None))
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
@@ -93,7 +101,11 @@ def dates_picture(dates: Sequence[DateOfRig]) -> Figure:
         ks = list(dates[0].alikeness)
         for i, k in enumerate(ks):
             shade = 0.85 * (1.0 - i / max(len(ks), 2))
-            rows[0].plot(at, [100 * d.alikeness[k] for d in dates], "o-", color=str(0.8 * shade), label=f"k = {k:g}")
+            colour = str(0.8 * shade)
+            rows[0].plot(at, [100 * d.alikeness[k] for d in dates], "o-", color=colour, label=f"k = {k:g}")
+            rows[0].plot(at, [100 * d.itself[k] for d in dates], "o:", color=colour, lw=1, ms=3)
+        if any(np.isfinite(share) for d in dates for share in d.itself.values()):
+            rows[0].plot([], [], "o:", color="0.4", lw=1, ms=3, label=ITSELF)
         rows[0].set(ylabel="alike in every signal, %", ylim=(-3, 103))
         rows[0].legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
         for axes, name in zip(rows[1:], watched, strict=True):
@@ -108,6 +120,11 @@ def dates_picture(dates: Sequence[DateOfRig]) -> Figure:
         rows[-1].set_xticks(at, [d.label for d in dates], rotation=20)
         rows[0].set_title("dashed: the first date; bars: 95 %" if watched else "", loc="right", fontsize=9)
     return figure
+
+
+def _of_rig(share: float) -> str:
+    """What the rig reaches against itself, as the second line of a title; empty where unknown."""
+    return f"\nthe rig against itself {shown_share(share)}" if np.isfinite(share) else ""
 
 
 def _axis(value: SweptValue) -> tuple[float, str]:

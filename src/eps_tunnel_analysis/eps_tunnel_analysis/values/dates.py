@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.alikeness import KS, joint_against_itself
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
 from eps_tunnel_analysis.outputs import plain
@@ -21,11 +21,13 @@ class DateOfRig:
     Attributes:
         label: as the person named it.
         alikeness: k -> share of all seen samples alike in every signal, of the model of the first date.
+        itself: k -> what the rig reached against itself on this date, jointly; NaN with too few trials.
         values: what the watched values are, given that nothing else changed; of the first date none.
     """
 
     label: str
     alikeness: Mapping[float, float]
+    itself: Mapping[float, float]
     values: tuple[ValueChange, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -33,7 +35,10 @@ class DateOfRig:
         found: dict[str, Any] = plain(
             {
                 "label": self.label,
-                "alikeness": [{"k": k, "joint": share} for k, share in self.alikeness.items()],
+                "alikeness": [
+                    {"k": k, "joint": share, "rig_against_itself": self.itself[k]}
+                    for k, share in self.alikeness.items()
+                ],
                 "values": [asdict(v) for v in self.values],
             }
         )
@@ -58,8 +63,13 @@ def over_dates(
     found = []
     for label, plays in dates.items():
         values = refitted(model, first, plays, watched, run) if watched and plays is not first else ()
-        found.append(DateOfRig(label, _alikeness(model, plays, ks), values))
+        found.append(DateOfRig(label, _alikeness(model, plays, ks), _itself(model, plays, ks), values))
     return tuple(found)
+
+
+def _itself(model: Model, plays: Sequence[Play], ks: Sequence[float]) -> dict[float, float]:
+    names = compared_signals(model, [play.trials for play in plays])
+    return joint_against_itself([play.trials.select(names) for play in plays], sorted(ks))
 
 
 def _alikeness(model: Model, plays: Sequence[Play], ks: Sequence[float]) -> dict[float, float]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from eps_tunnel_analysis.alikeness import KS, alikeness_over_k
+from eps_tunnel_analysis.alikeness import KS, alikeness_over_k, joint_against_itself
 from eps_tunnel_analysis.error import command_error
 from eps_tunnel_analysis.outputs import plain
 from eps_tunnel_analysis.simulated import Play, compared_signals, rollouts
@@ -55,6 +55,7 @@ class Sweep:
         errors: (n,) or (n, n2) by m; E of equation 10, mean over the plays; inf where the simulation diverged.
         alikeness: the same by (K, m): share of all seen samples of the plays.
         joint: the same by (K,): share of samples alike in every signal.
+        itself: (K,) what the rig reaches against itself, jointly; NaN with too few trials.
         notes: what was done besides, in words.
     """
 
@@ -65,6 +66,7 @@ class Sweep:
     errors: Array
     alikeness: Array
     joint: Array
+    itself: tuple[float, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -88,12 +90,13 @@ class Sweep:
         header += [f"error_{s}" for s in self.signals]
         for k in self.ks:
             header += [*(f"alikeness_{s}_k{k:g}" for s in self.signals), f"alikeness_jointly_k{k:g}"]
+            header += [f"alikeness_jointly_k{k:g}_rig"]
         rows = []
         for where in np.ndindex(*self.joint.shape[:-1]):
             row = [float(v.points[i]) for v, i in zip(self.values, where, strict=True)]
             row += self.errors[where].tolist()
             for i in range(len(self.ks)):
-                row += [*self.alikeness[where][i].tolist(), float(self.joint[where][i])]
+                row += [*self.alikeness[where][i].tolist(), float(self.joint[where][i]), self.itself[i]]
             rows.append(tuple(row))
         return tuple(header), rows
 
@@ -109,8 +112,8 @@ class Sweep:
             "k": list(self.ks),
             "least_error": {"at": least, "error": error},
             "most_alike": [
-                {"k": k, "at": at, "alikeness": share}
-                for k, (at, share) in zip(self.ks, self._most_alike(), strict=True)
+                {"k": k, "at": at, "alikeness": share, "rig_against_itself": rig}
+                for k, (at, share), rig in zip(self.ks, self._most_alike(), self.itself, strict=True)
             ],
             "errors": self.errors.tolist(),
             "alikeness": self.alikeness.tolist(),
@@ -188,6 +191,7 @@ def sweep(
         ks=factors,
         errors=locked(errors.reshape(*shape, -1)),
         alikeness=locked((alike / np.maximum(seen, 1.0)).reshape(*shape, len(factors), -1)),
+        itself=tuple(joint_against_itself(real, factors).values()),
         joint=locked((jointly / max(seen_jointly, 1.0)).reshape(*shape, -1)),
         notes=notes,
     )

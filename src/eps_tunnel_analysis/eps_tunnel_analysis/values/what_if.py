@@ -75,7 +75,7 @@ class WhatIf:
         model, play: as given.
         tunnel: of the play's trials, smoothed by equation 12.
         ks: factors on its width, rising.
-        itself: joint share that the rig reaches against itself at each k; empty with too few trials.
+        itself: what the rig reaches against itself at each k; empty with too few trials.
         given: the answer of the model as it is.
     """
 
@@ -91,7 +91,7 @@ class WhatIf:
         self._names = compared_signals(model, [play.trials])
         self._real = play.trials.select(self._names)
         self.tunnel = smooth(build_tunnel(self._real))
-        self.itself = tuple(one.joint for one in rig_against_itself(self._real, self.ks))
+        self.itself = rig_against_itself(self._real, self.ks)
         self._runs = rollouts(model, [play])
         self.given = self._answer(model, (), ())
 

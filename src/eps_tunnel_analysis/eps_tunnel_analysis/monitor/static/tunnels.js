@@ -111,7 +111,9 @@ export class Tunnels {
     const known = !this.past && gap && String(gap.signals) === String(table.signals);
     this.shares.forEach((share, i) => {
       if (this.at !== null) return; // the cursor's values stand there
-      share.textContent = known && !table.collecting ? `${percent(gap.shares[this.drawn[i]][0])} alike` : "";
+      const rig = known ? (gap.rig_shares[this.drawn[i]] || [])[0] : undefined;
+      const itself = rig === undefined || rig === null ? "" : `, the rig against itself ${percent(rig)}`;
+      share.textContent = known && !table.collecting ? `${percent(gap.shares[this.drawn[i]][0])} alike${itself}` : "";
     });
     const band = table.collecting ? "Collecting: one real trial has no width yet, so nothing is judged."
       : "The band is what the real trials spanned; red is where the simulation leaves it.";

@@ -52,7 +52,8 @@ export function showWhatIf(told) {
   if (!name) return;
   if (document.activeElement !== slider) slider.value = told.value;
   const joint = percent(told.gap.joint[0]), k = told.gap.ks[0];
+  const itself = told.gap.rig.length ? `; the rig against itself ${percent(told.gap.rig[0])}` : "";
   element("what-if-word").textContent = told.before
-    ? `${short(told.value)}${unit(told.unit)} instead of ${short(told.given)}: ${joint} alike at k = ${k}, ${percent(told.before.joint[0])} as it is`
-    : `${short(told.given)}${unit(told.unit)} in the model: ${joint} alike at k = ${k}`;
+    ? `${short(told.value)}${unit(told.unit)} instead of ${short(told.given)}: ${joint} alike at k = ${k}, ${percent(told.before.joint[0])} as it is${itself}`
+    : `${short(told.given)}${unit(told.unit)} in the model: ${joint} alike at k = ${k}${itself}`;
 }
