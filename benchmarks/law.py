@@ -84,7 +84,8 @@ def _said(case: Case, threads: int, thorough: bool) -> Record:
         first = proposal.depends.first
         one: Record = {
             "axis": proposal.axis, "place": proposal.place, "kind": proposal.kind, "equation": proposal.equation,
-            "curve": _named(first) if first else "", "variable": first.variable if first else "", "period": first.period if first else None,
+            "curve": _named(first) if first else "", "variable": first.variable if first else "",
+            "period": first.period if first else None,
             "ties": [_named(d) for d in proposal.depends.ties], "share": first.share if first else 0.0,
             "chance": proposal.depends.chance, "floors": list(proposal.missing.floors),
         }  # fmt: skip
