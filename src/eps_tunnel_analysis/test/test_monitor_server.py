@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
-from eps_tunnel_analysis.monitor.access import Access
 from eps_tunnel_analysis.monitor.parts import Job
 from eps_tunnel_analysis.monitor.requests import (
     AddRequest,
@@ -27,7 +26,7 @@ from eps_tunnel_analysis.monitor.requests import (
     WhatIfRequest,
     parse_request,
 )
-from eps_tunnel_analysis.monitor.server import MonitorServer
+from eps_tunnel_analysis.monitor.server import Access, MonitorServer
 from eps_tunnel_analysis.monitor.state import State
 from labyrinth_sim.errors import InputError
 
