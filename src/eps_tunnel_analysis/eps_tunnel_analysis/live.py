@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.alikeness import KS, AgainstItself, Alikeness, alikeness, rig_against_itself
 from eps_tunnel_analysis.recording.recording import TrialMark
-from eps_tunnel_analysis.recording.resample import interpolate
 from eps_tunnel_analysis.recording.trials import MAX_GAP, MOST_SAMPLES, RATE
+from eps_tunnel_analysis.stamped import interpolate
 from eps_tunnel_analysis.tunnel import HALF_WIDTH, Tunnel, build_tunnel, smooth
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array, Trials

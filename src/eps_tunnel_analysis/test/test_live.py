@@ -14,7 +14,7 @@ from eps_tunnel_analysis.alikeness import LEAST_TRIALS
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.live import Figures, LiveGap, StampCounts
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
-from eps_tunnel_analysis.recording.resample import interpolate
+from eps_tunnel_analysis.stamped import interpolate
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array, Trials
 

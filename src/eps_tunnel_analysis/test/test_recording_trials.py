@@ -12,7 +12,7 @@ from recording_cases import SECOND, START, ball, command, joints, mark, measured
 
 from eps_tunnel_analysis.recording import BagWriter, ChannelMap, Source, channel_map, read, read_trials, to_trials
 from eps_tunnel_analysis.recording.decode import BALL_STATE, JOINT_STATE, TRIAL
-from eps_tunnel_analysis.recording.resample import hold, interpolate
+from eps_tunnel_analysis.stamped import hold, interpolate
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import load_rig
 

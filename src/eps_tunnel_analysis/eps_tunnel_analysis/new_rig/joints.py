@@ -187,7 +187,7 @@ class Sampled:
 
 def sample(recording: Recording, topics: Topics, match: Match, step: float) -> Sampled:
     """A joint's channels: commands held, measurements interpolated, from the first command on."""
-    from eps_tunnel_analysis.recording.resample import hold, interpolate
+    from eps_tunnel_analysis.stamped import hold, interpolate
 
     states = recording.topics[topics.states]
     commands = recording.topics[topics.commands or ""]

@@ -14,9 +14,8 @@ from eps_tunnel_analysis.recording.channel_map import ChannelMap, Source, channe
 from eps_tunnel_analysis.recording.decode import BALL_STATE, read_all
 from eps_tunnel_analysis.recording.plausible import Samples, doubts
 from eps_tunnel_analysis.recording.recording import Recording, StampedTopic, TimeSource, TrialMark
-from eps_tunnel_analysis.recording.resample import hold, interpolate
 from eps_tunnel_analysis.simulated import Play
-from eps_tunnel_analysis.stamped import Series, StampedTrial
+from eps_tunnel_analysis.stamped import Series, StampedTrial, hold, interpolate
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.shown import shown
