@@ -15,11 +15,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from short_sequence import SHORT
 
-from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan
+from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan, judged
+from eps_tunnel_analysis.loop.gap import Bags, RigFailed
 from eps_tunnel_analysis.loop.notebook import Notebook
 from eps_tunnel_analysis.loop.reason import DiagnosisOptions
-from eps_tunnel_analysis.loop.rig import Bags, RigFailed
-from eps_tunnel_analysis.loop.truth import judged
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed

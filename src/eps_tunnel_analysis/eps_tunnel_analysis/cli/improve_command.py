@@ -121,7 +121,7 @@ def _improve_live(arguments: argparse.Namespace) -> int:
             f"--live needs ROS 2, which is not found ({error}). Run `source env.bash`, or source your own ROS 2."
         ) from error
     from eps_tunnel_analysis.loop.experimenter import Plan
-    from eps_tunnel_analysis.loop.rig import RigFailed
+    from eps_tunnel_analysis.loop.gap import RigFailed
     from eps_tunnel_analysis.processes import TIMING, spare_threads
     from eps_tunnel_analysis.report.next_step import compare_with
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gap that one play shows, from the bags of both sides."""
+"""What the loop needs of a rig, and the gap that a play on it shows, from the bags of both sides."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.check.data import check_data, sentences
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.repeats import repeats
-from eps_tunnel_analysis.loop.rig import Bags
 from eps_tunnel_analysis.outputs import circumstances, new_folder, versions
 from eps_tunnel_analysis.recording import Recording, read, to_trials
 from eps_tunnel_analysis.report.next_step import after_comparison
@@ -19,6 +19,34 @@ from eps_tunnel_analysis.report.reports import write_comparison
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import Rig
+
+
+class RigFailed(Exception):
+    """A sequence was not played to its end, or a model not taken over; the text says why."""
+
+
+@dataclass(frozen=True)
+class Bags:
+    """What one play left: paths of the bags of either side."""
+
+    real: tuple[Path, ...]
+    sim: tuple[Path, ...]
+
+
+class PlayableRig(Protocol):
+    """A rig and its simulation."""
+
+    def play(self, sequence: str, trials: int, folder: Path) -> Bags:
+        """Plays a sequence, by name or path, on both sides and records it into `folder`. Raises RigFailed."""
+
+    def load(self, model: Path) -> None:
+        """Has the simulation take over a model file. Raises RigFailed."""
+
+    def limit(self) -> float:
+        """The largest angle, rad, that may be commanded."""
+
+    def tell(self, content: Mapping[str, Any], report: Path) -> None:
+        """Makes a verdict known, as diagnosis.json holds it."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, addition_recordings, addition_sentences
 from eps_tunnel_analysis.loop.experimenter import Added, Ending, Played, Step, Tested, heading
+from eps_tunnel_analysis.loop.gap import RigFailed
 from eps_tunnel_analysis.loop.reason import Reason
-from eps_tunnel_analysis.loop.rig import RigFailed
 from eps_tunnel_analysis.outputs import shown_share, shown_value
 from eps_tunnel_analysis.phases import sentences
 from eps_tunnel_analysis.report.pictures import (

@@ -11,11 +11,9 @@ from pathlib import Path
 from types import FrameType
 
 from eps_tunnel_analysis.diagnose.falls import addition_sentences, of_rig
-from eps_tunnel_analysis.loop.experimenter import Added, Experimenter, Plan, Played
-from eps_tunnel_analysis.loop.gap import Gap
+from eps_tunnel_analysis.loop.experimenter import Added, Experimenter, Plan, Played, judged
+from eps_tunnel_analysis.loop.gap import Bags, Gap, RigFailed
 from eps_tunnel_analysis.loop.reason import DiagnosisOptions, Reason
-from eps_tunnel_analysis.loop.rig import Bags, RigFailed
-from eps_tunnel_analysis.loop.truth import judged
 from eps_tunnel_analysis.nodes.live_improvement import rig_over_ros
 from eps_tunnel_analysis.nodes.rig_processes import DRAW, EmulatedRig, hidden_in, hidden_in_words
 from eps_tunnel_analysis.outputs import numbered_folder, shown_value

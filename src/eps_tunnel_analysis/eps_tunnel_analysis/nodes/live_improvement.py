@@ -17,10 +17,9 @@ from rclpy.action import ActionClient
 from rclpy.signals import SignalHandlerOptions
 
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
-from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan
+from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan, judged
+from eps_tunnel_analysis.loop.gap import Bags, RigFailed
 from eps_tunnel_analysis.loop.notebook import Notebook
-from eps_tunnel_analysis.loop.rig import Bags, RigFailed
-from eps_tunnel_analysis.loop.truth import judged
 from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched
 from eps_tunnel_analysis.nodes.play import Progress, ProgressBar
 from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, hidden_in_words, rig_processes
