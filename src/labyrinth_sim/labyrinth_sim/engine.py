@@ -461,7 +461,7 @@ class Engine:
         self._off, self._any_off = off, bool(off.any())
 
     def _disabled(self, off: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """(...) bits of the actuator groups of the drives that are off (..., u), and of those that the MJCF disables."""
+        """(...) bits of the actuator groups of drives that are off (..., u), and of those that the MJCF disables."""
         bits = np.full(off.shape[:-1], self.plan.mj.opt.disableactuator, dtype=np.int32)
         for i, (_, _, site) in enumerate(self.plan.drives):
             bits |= np.where(off[..., i], 1 << site.group, 0).astype(np.int32)

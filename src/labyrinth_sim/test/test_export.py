@@ -162,6 +162,39 @@ def test_without_anything_between_steps_the_mjcf_is_enough(tmp_path: Path) -> No
     assert apart(model, tmp_path, commands(model)) < 1e-9
 
 
+@pytest.mark.parametrize("kind", drives())
+def test_a_delay_of_whole_samples_alone_is_the_actuators_own(kind: str, tmp_path: Path) -> None:
+    """It is late by exactly that, for long; where more acts between the steps the module has it."""
+    model = driven(kind)
+    late = {"drive.shoulder.delay": 0.03, "drive.elbow.delay": 0.0}
+    model = model.with_values({n: 0.0 if n.endswith(("delay", "_tick", ".i")) else v
+                               for n, v in model.values().items() if n.startswith("drive.")} | late)  # fmt: skip
+    exported = export(model)
+    where = {p.name: p for p in exported.placements}
+    own = where["drive.shoulder.delay"]
+    assert where["drive.elbow.delay"].where == "off"
+    time = np.arange(1500) * model.rig.sample_time
+    targets = 0.3 * np.stack([np.sign(np.sin(5.0 * time)) * np.minimum(time, 1.0), np.sin(7.0 * time)], axis=1)
+    if kind == "velocity_pid":  # whose law makes the control
+        assert own.where == "module" and exported.module
+    else:
+        assert own.where == "MJCF" and "3 samples less half a step" in own.how and exported.module == ""
+        mj = mujoco.MjModel.from_xml_string(exported.mjcf)
+        delays = [float(mj.actuator_delay[mj.actuator(axis.actuator).id]) for axis in model.rig.axes]
+        assert delays == [pytest.approx(0.03, abs=0.0011), 0.0]
+        assert apart(model.with_values({"drive.shoulder.delay": 0.02}), tmp_path, targets[:200]) < 1e-6
+    assert apart(model, tmp_path, targets) < 1e-6
+
+
+def test_a_delay_off_the_grid_of_samples_stays_in_the_module_and_the_table_says_why(tmp_path: Path) -> None:
+    model = driven("torque_pd").with_values({"drive.shoulder.delay": 0.013, "drive.elbow.delay": 0.02})
+    exported = export(model)
+    told = {p.name: p for p in exported.placements}
+    assert told["drive.shoulder.delay"].where == told["drive.elbow.delay"].where == "module"
+    assert "would need a whole number of samples of 0.01 s" in told["drive.shoulder.delay"].how
+    assert apart(model, tmp_path, commands(model)) < 1e-6
+
+
 def test_the_module_needs_numpy_and_mujoco_only(tmp_path: Path) -> None:
     model = alone(
         load_model("labyrinth").with_effect("stribeck_friction", "x").with_effect("sensor_quantisation", "motor_x")

@@ -15,10 +15,11 @@ EPILOG = """\
 examples:
   eps-tunnel export --model better.yaml --mjcf better.xml
 
-The MJCF has all that MuJoCo can say: inertia, friction, springs, belts, actuators with their limits. What it cannot
-say (delays, backlash without a belt, friction that depends on load) is in the module better_effects.py beside it,
-which needs numpy and mujoco only: Simulation(model, data).step(target) steps one sample. No module is written where
-none is needed; each actuator's control is then its axis's target."""
+The MJCF has all that MuJoCo can say: inertia, friction, springs, belts, actuators with their limits, and delays of
+whole samples where nothing else is left. What it cannot say (other delays, backlash without a belt, friction that
+depends on load) is in the module better_effects.py beside it, which needs numpy and mujoco only:
+Simulation(model, data).step(target) steps one sample. No module is written where none is needed; each actuator's
+control is then its axis's target."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,8 +6,8 @@ import inspect
 import os
 import pprint
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from labyrinth_sim.simulate import numbers_of
 from labyrinth_sim.trials import Array
 
 DIGITS = 17  # of numbers in the MJCF; its own 6 would not be the same model
+GRID = 1e-6  # samples or steps by which a delay may miss their grid
 UNEQUAL = 1e-12  # relative; survives the digits of the MJCF
 HOOKS = ("command", "error", "step", "measure")
 IN_WORDS = {"command": "its target", "error": "its error", "step": "before every step", "measure": "its measurement"}
@@ -67,12 +68,19 @@ def export(model: Model) -> Exported:
     acting = plan.acting(values)
     bundle = Bundle()
     placements = tuple(_placements(model, acting, text, torque))
+    placements, delays = _own_delays(model, plan, placements)
+    if delays:
+        _, _, text, _ = _compiled(model, delays)
     needed = any("module" in p.where for p in placements)
     return Exported(text, _module(model, acting, torque, bundle) if needed else "", placements)
 
 
-def _compiled(model: Model) -> tuple[Plan, dict[str, Array], str, Array]:
-    """The plan, all values, the MJCF's text, and the constant torque (nv,) on each degree of freedom."""
+def _compiled(model: Model, delays: Mapping[str, int] | None = None) -> tuple[Plan, dict[str, Array], str, Array]:
+    """The plan, all values, the MJCF's text, and the constant torque (nv,) on each degree of freedom.
+
+    Args:
+        delays: actuator -> steps by which its control comes late.
+    """
     spec, plan = build_spec(model)
     values = numbers_of(model, 1)
     engine = Engine(model, plan, values, 1, model.rig.sample_time, nthread=1)
@@ -84,6 +92,10 @@ def _compiled(model: Model) -> tuple[Plan, dict[str, Array], str, Array]:
             setattr(spec, folder, str((home / getattr(spec, folder)).resolve()))
     for geom in spec.geoms:  # no number, so it is set before the text is written
         geom.condim = int(target.geom_condim[geom.id])
+    for name, steps in (delays or {}).items():
+        # Half a step less, or the rounding of time takes the sample before every now and then.
+        spec.actuator(name).delay = (steps - 0.5) * target.opt.timestep
+        spec.actuator(name).nsample = steps + 1
     for joint in spec.joints:  # MuJoCo does not copy it back
         joint.actfrcrange = target.jnt_actfrcrange[joint.id]
     return plan, values, _mjcf(spec, target), engine.fields.torque[0]
@@ -237,6 +249,35 @@ def _joint_dofs(model: Model) -> Iterator[tuple[str, int]]:
 
 
 # ---- where each value went
+
+
+def _own_delays(
+    model: Model, plan: Plan, placements: tuple[Placement, ...]
+) -> tuple[tuple[Placement, ...], dict[str, int]]:
+    """The placements where late targets are the only reason for a module, and actuator -> steps of MuJoCo's own delay.
+
+    Ours takes a straight line between two samples where a delay is no whole number of them, and MuJoCo's does not.
+    """
+    late = {f"drive.{axis.name}.delay": axis for axis in model.rig.axes}
+    if any("module" in p.where for p in placements if p.name not in late):
+        return placements, {}
+    sample, step = model.rig.sample_time, plan.mj.opt.timestep
+    whole = abs(sample / step - round(sample / step)) < GRID
+    found, delays = [], {}
+    for p in placements:
+        if p.name in late and p.where == "module":
+            samples = p.value / sample
+            if whole and abs(samples - round(samples)) < GRID:
+                delays[late[p.name].actuator] = round(p.value / step)
+                how = f"actuator {late[p.name].actuator}'s delay, {round(samples)} samples less half a step"
+                p = replace(p, where="MJCF", how=f"{how}; its controls before the first are 0")
+            else:
+                fits = f"{sample:g} s" if whole else f"{sample:g} s, of a whole number of steps of {step:g} s"
+                p = replace(p, how=f"{p.how}; an actuator's delay would need a whole number of samples of {fits}")
+        found.append(p)
+    if any("module" in p.where for p in found):  # which does them all
+        return tuple(b if b.where == "module" else a for a, b in zip(placements, found, strict=True)), {}
+    return tuple(found), delays
 
 
 def _placements(model: Model, acting: list[Placed], text: str, torque: Array) -> Iterator[Placement]:
