@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.stamped import StampedTrial, setpoints, stamped_from_grid
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
-from labyrinth_sim.rig import BALL_SIGNALS
+from labyrinth_sim.rig import BALL_SIGNALS, Axis
 from labyrinth_sim.shown import shown
 from labyrinth_sim.simulate import even_timestep, simulate_batch
 from labyrinth_sim.trials import Array, Trials
@@ -22,6 +22,9 @@ from labyrinth_sim.trials import Array, Trials
 COMMAND_JITTER = 2  # samples by which the commands of trials may be early or late and still be the same
 ALIKE = 0.99  # share of the samples that must agree, and
 WITHIN = 0.01  # by how much, of the command's range
+AT_REST = 0.1  # s, in which an axis that rests as a play begins
+STILL = 0.003  # of its range, moves less than this
+HELD_WITHIN = 0.25  # of its range; a command that is further away than that moves it, however late
 MEMORY = 2e8  # bytes of roll-outs on the fine grid that are held at once
 
 
@@ -62,6 +65,7 @@ class Rollouts:
         every: steps of it in one sample of the trials; sample i is read at step i * every.
         commands: (c, K, u) rad, the setpoint during each step; NaN where the drive is off.
         initial: signal -> (c,) at time zero, NaN where unseen.
+        resting: (c, u) whether each axis rests under its first command at time zero.
         with_ball: whether the ball is simulated.
         known: full parameter name -> (c,), what is known to differ between the plays.
         play: (c,) number of the play that each belongs to.
@@ -71,6 +75,7 @@ class Rollouts:
     every: int
     commands: Array
     initial: dict[str, Array]
+    resting: NDArray[np.bool_]
     with_ball: bool
     known: dict[str, Array]
     play: NDArray[np.int64]
@@ -93,7 +98,7 @@ class Rollouts:
         for low in range(0, len(values), rows):
             result = simulate_batch(
                 model, names, values[low : low + rows], self.time, self.commands, self.initial,
-                per_command=self.known, signals=signals, with_ball=self.with_ball, nthread=nthread,
+                per_command=self.known, resting=self.resting, signals=signals, with_ball=self.with_ball, nthread=nthread,
                 timestep=self.time[1] if len(self.time) > 1 else None,
             )  # fmt: skip
             read = np.array(result.values[:, :, :: self.every])
@@ -135,8 +140,10 @@ def rollouts(model: Model, plays: Sequence[Play], timestep: float | None = None)
             commands[row, :own, column] = setpoints(group, channel, step, own)
         commands[row, own:] = commands[row, own - 1]
     owner = np.array([number for number, _ in runs])
+    resting = np.array([axes_at_rest(model, group) for _, group in runs])
     known = {name: given[owner] for name, given in known_values(model, plays).items()}
-    return Rollouts(np.asarray(step * np.arange(size), dtype=float), every, commands, initial, with_ball, known, owner)
+    time = np.asarray(step * np.arange(size), dtype=float)
+    return Rollouts(time, every, commands, initial, resting, with_ball, known, owner)
 
 
 def roll_out(model: Model, play: Play, timestep: float | None = None) -> Trials:
@@ -171,6 +178,31 @@ def first_pose(model: Model, trials: Sequence[StampedTrial]) -> dict[str, float]
         if first:
             pose[name] = float(np.mean(first))
     return pose
+
+
+def axes_at_rest(model: Model, trials: Sequence[StampedTrial]) -> NDArray[np.bool_]:
+    """(u,) which axes rest under their first command as these trials begin.
+
+    Such a drive carries its load already. One that began from its pose as its goal would let the load sag at first,
+    and with stiction keep it there.
+    """
+    return np.array([all(_rests(axis, trial) for trial in trials) for axis in model.rig.axes])
+
+
+def _rests(axis: Axis, trial: StampedTrial) -> bool:
+    seen = [m for m in axis.finest_first if m.quantity == "position" and m.signal in trial.signals]
+    command = trial.commands.get(axis.command)
+    if not seen or command is None or not len(command.time) or not np.isfinite(command.values[0]):
+        return False
+    measured = trial.signals[seen[0].signal]
+    span = float(np.ptp(measured.values)) if len(measured.values) else 0.0
+    if span <= 0.0 or abs(command.values[0] - measured.values[0]) > HELD_WITHIN * span:
+        return False
+    others = np.flatnonzero(command.values != command.values[0])
+    until = command.time[0] + AT_REST if not len(others) else min(command.time[0] + AT_REST, command.time[others[0]])
+    early = measured.values[measured.time <= until]
+    half = len(early) // 2
+    return half < 2 or abs(float(np.median(early[:half]) - np.median(early[half:]))) < STILL * span
 
 
 def _answered_together(model: Model, play: Play) -> list[tuple[StampedTrial, ...]]:

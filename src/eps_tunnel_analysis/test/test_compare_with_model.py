@@ -13,7 +13,7 @@ from fit_cases import on_grid
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.fit.calibrate import judge
 from eps_tunnel_analysis.fit.problem import CommandError, Objective
-from eps_tunnel_analysis.simulated import Play, roll_out, same_commands
+from eps_tunnel_analysis.simulated import Play, axes_at_rest, roll_out, same_commands
 from eps_tunnel_analysis.stamped import Series, StampedTrial
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
@@ -152,3 +152,30 @@ def _messages(names, values):
         header = Header(stamp=Time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="")
         empty = np.array([])
         yield stamp, JointState(header=header, name=list(names), position=row, velocity=empty, effort=empty)
+
+
+@pytest.mark.parametrize(
+    ("first", "early", "rests"),
+    [
+        (0.5, lambda t: np.full_like(t, 0.48), True),  # short of its goal by what carries its load
+        (0.5, lambda t: 0.48 - 0.1 * t, False),  # still on its way
+        (1.5, lambda t: np.full_like(t, 0.48), False),  # that command moves it
+        (np.nan, lambda t: np.full_like(t, 0.48), False),  # the drive is off
+    ],
+)
+def test_whether_an_axis_rests_as_a_play_begins_is_read_off_its_first_samples(first, early, rests):
+    time = np.arange(200) * 0.01
+    seen = np.where(time < 0.5, early(time), 0.48 - np.clip(time - 0.5, 0.0, 0.5) * 2.0)
+    seen += 1e-4 * np.random.default_rng(1).standard_normal(len(time))
+    sent = Series(time, np.where(time < 0.3, first, -0.5))
+    trial = StampedTrial(1.99, {"pendulum": sent}, {"pendulum": Series(time, seen)})
+    assert axes_at_rest(load_model("pendulum"), [trial]).tolist() == [rests]
+
+
+def test_a_step_right_at_the_start_is_no_unrest():
+    """What is measured after the command has changed says nothing of how the axis was before."""
+    time = np.arange(200) * 0.01
+    sent = Series(time, np.where(time < 0.03, 0.5, -0.5))
+    moved = Series(time, 0.49 - np.clip(time - 0.04, 0.0, 0.3) * 3.0)
+    trial = StampedTrial(1.99, {"pendulum": sent}, {"pendulum": moved})
+    assert axes_at_rest(load_model("pendulum"), [trial]).tolist() == [True]

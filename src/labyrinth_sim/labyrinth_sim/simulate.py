@@ -110,6 +110,7 @@ def simulate_batch(
     initial: Mapping[str, ArrayLike] | None = None,
     *,
     per_command: Mapping[str, ArrayLike] | None = None,
+    resting: ArrayLike | None = None,
     signals: Sequence[str] | None = None,
     with_ball: bool | None = None,
     timestep: float | None = None,
@@ -127,6 +128,8 @@ def simulate_batch(
         commands: (c, T, u) rad, held from each sample to the next; NaN where the drive is off.
         initial: signal -> (c,) at the first sample, NaN where unknown.
         per_command: full parameter name -> (c,), for what is known to differ between commands, as a gain set by hand.
+        resting: (c, u) bool, axes that rest under their first command as it begins, and so carry their load; the others
+            go to it from where they stand. None where no axis does.
         signals: to return, in this order; all of the rig if None.
         with_ball: None simulates the ball where `initial` says where it is.
         timestep: s, MuJoCo's own step; rounded so that samples are whole numbers of steps.
@@ -141,7 +144,7 @@ def simulate_batch(
     grid, block = np.asarray(time, float), np.asarray(commands, float)
     table = np.atleast_2d(np.asarray(values, float))
     ball = with_ball if with_ball is not None else bool(initial) and any(s in (initial or {}) for s in BALL_SIGNALS)
-    _check(model, names, table, grid, block, initial, per_command, ball, timestep)
+    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep)
     n, c = len(table), len(block)
     step = float((grid[-1] - grid[0]) / (len(grid) - 1))
     even = even_timestep(step, timestep, model, ball)
@@ -159,6 +162,7 @@ def simulate_batch(
     every_number = numbers_of(model, n * c)
     every_number |= {name: table[sets, column] for column, name in enumerate(names)}
     every_number |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
+    holds = np.zeros((c, block.shape[2]), dtype=bool) if resting is None else np.asarray(resting, dtype=bool)
     chunk = int(np.clip(MEMORY / (8 * len(grid) * (len(every) + block.shape[2])), 1, CHUNK))
     for which in _groups(plan, every_number, n * c, chunk):
         numbers = {name: given[which] for name, given in every_number.items()}
@@ -168,9 +172,13 @@ def simulate_batch(
         first = undone(here[0], numbers, first)
         alone, shared = _moving_differently(plan, numbers, first, plays[which])
         own = {name: given[alone] for name, given in numbers.items()}
-        start, sent = {name: given[alone] for name, given in first.items()}, block[plays[which[alone]]]
+        owner = plays[which[alone]]
+        start = {name: given[alone] for name, given in first.items()}
         engines = [Engine(model, each, own, len(alone), step, nthread) for each in here]
-        rolled = [_roll_out(model, *pair, own, step, sent, start) for pair in zip(here, engines, strict=True)]
+        rolled = [
+            _roll_out(model, *pair, own, step, block[owner], start, holds[owner])
+            for pair in zip(here, engines, strict=True)
+        ]
         raw = (2.0 * rolled[1] - rolled[0] if extrapolate else rolled[0])[shared]
         seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
@@ -222,18 +230,21 @@ def _roll_out(
     step: float,
     commands: Array,
     first: Mapping[str, Array],
+    resting: NDArray[np.bool_],
 ) -> Array:
     qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
-    start = rest_targets(plan, qpos, commands[:, 0])
+    start = rest_targets(plan, qpos, commands[:, 0], resting)
     engine.start(qpos, qvel, start)
     targets = through(command_filters(plan, numbers, step, start), commands)
     return engine.roll(targets)
 
 
-def rest_targets(plan: Plan, qpos: Array, first: Array) -> Array:
-    """(nsim, u) targets before the first sample: where the axis stands; NaN where the drive starts switched off."""
+def rest_targets(plan: Plan, qpos: Array, first: Array, resting: NDArray[np.bool_] | bool = False) -> Array:
+    """(nsim, u) targets before the first sample: the first command where the axis rests under it, else where the axis
+    stands; NaN where the drive starts switched off.
+    """
     angles = np.stack([qpos[:, site.qpos] for _, _, site in plan.drives], axis=1)
-    return np.where(np.isnan(first), np.nan, angles)
+    return np.where(np.isnan(first), np.nan, np.where(resting, first, angles))
 
 
 def numbers_of(model: Model, nsim: int) -> dict[str, Array]:
@@ -259,6 +270,7 @@ def _check(
     block: Array,
     initial: Mapping[str, ArrayLike] | None,
     per_command: Mapping[str, ArrayLike] | None,
+    resting: ArrayLike | None,
     ball: bool,
     timestep: float | None,
 ) -> None:
@@ -276,6 +288,8 @@ def _check(
             bad = numbers[~((numbers >= info.low) & (numbers <= info.high))]
             if bad.size:
                 complaints.append(f"{name} must lie within [{info.low:g}, {info.high:g}] {info.unit}, got {bad[0]:g}.")
+    if resting is not None and np.shape(resting) != (block.shape[0], block.shape[-1]):
+        complaints.append(f"resting must have shape ({block.shape[0]}, {block.shape[-1]}), got {np.shape(resting)}.")
     for name, given in (per_command or {}).items():
         if np.shape(given) != block.shape[:1]:
             complaints.append(f"per_command['{name}'] must have shape ({len(block)},), got {np.shape(given)}.")

@@ -213,3 +213,27 @@ def test_chosen_signals_are_those_of_all(model: Model, commands: np.ndarray) -> 
         assert np.array_equal(two.values[..., column], every.values[..., every.signals.index(name)])
     with pytest.raises(InputError, match="ball_x"):
         simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None], signals=["ball_x"])
+
+
+def test_a_drive_that_rests_under_its_first_command_carries_its_load_from_the_start() -> None:
+    """A pendulum that hangs in its servo's error stays there; without friction only its drive can hold it."""
+    given = load_model("pendulum").without_effect("coulomb_friction", "pendulum")
+    given = given.without_effect("viscous_friction", "pendulum").with_values({"drive.pendulum.delay": 0.04})
+    goal = np.full((1, 600, 1), 0.5)
+    long = 0.01 * np.arange(600)
+    reached = simulate_batch(given, (), np.empty((1, 0)), long, goal, {"pendulum": np.array([0.5])})
+    rest = reached.values[0, 0, -1, :1]
+    assert 0.02 < 0.5 - rest[0] < 0.4
+
+    def moved(resting: list[list[bool]] | None) -> float:
+        start = {"pendulum": rest}
+        found = simulate_batch(given, (), np.empty((1, 0)), TIME, goal[:, : len(TIME)], start, resting=resting)
+        return float(np.ptp(found.values[0, 0, :, 0]))
+
+    assert moved([[True]]) < 1e-4 < 1e-2 < moved([[False]])
+    assert moved(None) == moved([[False]])
+
+
+def test_a_word_on_rest_is_one_for_each_command_and_axis(model: Model, commands: np.ndarray) -> None:
+    with pytest.raises(InputError, match=r"resting must have shape \(1, 2\), got \(1, 1\)"):
+        simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None], resting=[[True]])

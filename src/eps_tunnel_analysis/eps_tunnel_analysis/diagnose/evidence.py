@@ -18,7 +18,7 @@ from eps_tunnel_analysis.diagnose.noise import SignalNoise, signal_noise
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import Residuals
-from eps_tunnel_analysis.simulated import Play, first_pose, known_values
+from eps_tunnel_analysis.simulated import Play, axes_at_rest, first_pose, known_values
 from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
@@ -197,6 +197,11 @@ class Evidence:
             for play in self.plays
         ]
 
+    @cached_property
+    def resting(self) -> list[NDArray[np.bool_]]:
+        """For each play (1, u) whether each axis rests under its first command as it begins."""
+        return [axes_at_rest(self.model, play.trials)[None] for play in self.plays]
+
     def __call__(self, values: Array) -> Array:
         """(n, k) values in their units to (n, R) residuals in the signals' units; NaN where a roll-out diverged."""
         return self._residuals(np.atleast_2d(values)) - self.missed
@@ -218,7 +223,7 @@ class Evidence:
                 self.model, self.free, table, self.times(number), self.commands[number][None],
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
-                signals=self.signals, timestep=self.step(number), nthread=self.nthread, extrapolate=self.extrapolate,
+                resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread, extrapolate=self.extrapolate,
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]

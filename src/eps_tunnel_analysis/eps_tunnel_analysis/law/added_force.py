@@ -168,7 +168,7 @@ class Playing:
         simulate_batch(
             self.model, (*self.free, self.forces.name), np.append(self.values, 1.0)[None], evidence.times(0),
             evidence.commands[0][None], evidence.initial[0],
-            per_command=evidence.known,
+            per_command=evidence.known, resting=evidence.resting[0],
             signals=self.signals, timestep=evidence.step(0), nthread=1,
         )  # fmt: skip
         seen = self.forces.recorded()[:count]
