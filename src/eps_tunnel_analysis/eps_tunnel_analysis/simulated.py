@@ -98,8 +98,8 @@ class Rollouts:
         for low in range(0, len(values), rows):
             result = simulate_batch(
                 model, names, values[low : low + rows], self.time, self.commands, self.initial,
-                per_command=self.known, resting=self.resting, signals=signals, with_ball=self.with_ball, nthread=nthread,
-                timestep=self.time[1] if len(self.time) > 1 else None,
+                per_command=self.known, resting=self.resting, signals=signals, with_ball=self.with_ball,
+                timestep=self.time[1] if len(self.time) > 1 else None, nthread=nthread,
             )  # fmt: skip
             read = np.array(result.values[:, :, :: self.every])
             read[result.failed] = np.nan

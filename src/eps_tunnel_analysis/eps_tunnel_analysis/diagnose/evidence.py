@@ -223,7 +223,8 @@ class Evidence:
                 self.model, self.free, table, self.times(number), self.commands[number][None],
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
-                resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread, extrapolate=self.extrapolate,
+                resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
+                extrapolate=self.extrapolate,
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]
