@@ -102,7 +102,7 @@ def _around(values: Array, window: int, length: int | None = None) -> Array:
 def _persisting(deviations: Array, window: int) -> Array:
     """(b,) covariance of trials' deviations (p, b) with themselves `window` bins later, mean over such a window.
 
-    What random pushes do to a servo is forgotten by then; where stiction holds each trial at a place of its own it is not.
+    What random pushes do to a servo is forgotten by then; where stiction holds a trial at a place of its own it is not.
     """
     if deviations.shape[1] <= 2 * window:
         return np.full(deviations.shape[1], np.inf)
