@@ -31,8 +31,8 @@ from eps_tunnel_analysis.monitor.parts import (
     VerdictPart,
 )
 from eps_tunnel_analysis.monitor.requests import Request, WhatIfRequest
-from eps_tunnel_analysis.monitor.reruns import Reruns
 from eps_tunnel_analysis.monitor.server import MonitorServer
+from eps_tunnel_analysis.monitor.session import Reruns
 from eps_tunnel_analysis.monitor.state import State
 from eps_tunnel_analysis.sequence_file import find_sequence
 from labyrinth_hw.testbed.bags import write_bag
