@@ -2,6 +2,7 @@
 """From recordings of a force that no effect of the library is, to its formula, its file and a model with it."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,12 @@ def test_report_and_json_tell_variable_formula_and_what_is_left(proposal: Propos
     page = render("title", "subtitle", [law(proposal)])
     assert "without a formula" in page and "To see more of it, play visit_angle_pendulum.yaml" in page
     assert "A sin(2 pi angle / L + phase)" in page and "proposed_effect.pendulum.wave_period" in page
+    first = proposal.depends.first
+    assert first is not None and first.period is not None
+    period = f"{np.degrees(first.period):.4g} deg"
+    assert f"with a period of {period}" in proposal.sentence and page.count(period) >= 2
+    assert re.search(r"wave_period</td><td[^>]*>20\.\d+ deg ± [0-9.]+ deg<", page)
+    assert f"{np.degrees(proposal.curve[0][0]):.3g}</td>" in page and "angle, deg</th>" in page
     content = json.loads(json_text(plain(proposal.to_json())))
     assert content["file"] == "proposed_effect.py" and content["depends_on"][0]["named"] is True
     assert content["refit"]["held_out"] < content["base_held_out"]

@@ -24,7 +24,7 @@ from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formula
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
 from eps_tunnel_analysis.law.refit import floors_on, quick_bases, thorough_bases, worst_on
 from eps_tunnel_analysis.law.visit import Visit, visit
-from eps_tunnel_analysis.outputs import shown_number
+from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
 from labyrinth_sim.effect import Effect, effects
@@ -115,13 +115,18 @@ class Proposal:
     confirmation: Confirmation | None = None
 
     @property
+    def position_unit(self) -> str:
+        """SI unit of the axis's position."""
+        return "m" if self.missing.unit == "N" else "rad"
+
+    @property
     def sentence(self) -> str:
         """What is found, in words."""
         first = self.depends.first
         if first is None:
             text = f"Axis {self.axis}: what is missing depends on none of the variables more than chance allows."
             return text + (f" {self.visit.name}.yaml would tell more." if self.visit else "")
-        waves = f", with a period of {first.period:.4g} rad" if first.period else ""
+        waves = f", with a period of {shown_value(first.period, self.position_unit, 4)}" if first.period else ""
         waves += f", which is {first.traced}" if first.traced else ""
         low, high = first.interval
         text = (
