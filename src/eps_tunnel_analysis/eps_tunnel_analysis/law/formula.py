@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A formula for a missing force: a few terms of a dictionary, chosen one after the other by what they predict where it
-was left out.
+"""Formulas for a missing force: sets of a few terms of a dictionary, grown one term after the other by what they
+predict where it was left out.
 """
 
 import math
@@ -16,6 +16,8 @@ from eps_tunnel_analysis.law.depends import Design, Predictor, moving, periods, 
 from labyrinth_sim.trials import Array
 
 MOST_TERMS = 4
+BEAM = 2  # sets of as many terms that are gone on from
+BEHIND = 0.1  # of the misfit, by which a runner-up may stay behind
 SIMPLER = 0.01  # of the misfit, that one more number in a term must explain
 SHAPES = 9  # values tried of a speed or time that shapes a term
 MOST_SHARE = 0.45  # of the load, as friction: just below 0.5, where a gear locks itself
@@ -176,44 +178,65 @@ def sensor_dictionary(design: Design) -> list[Term]:
     ]  # fmt: skip
 
 
-def formula(design: Design, terms: Sequence[Term], signal: int | None = None, seed: int = 0) -> Formula:
-    """The terms that explain most, one after the other, until one more does not matter.
+def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, seed: int = 0) -> list[Formula]:
+    """The best sets of one, two and more terms, as long as one more matters; roll-outs choose among them.
+
+    Of each number of terms a runner-up is kept, too, and both are gone on from.
 
     Args:
         terms: to choose from.
         signal: number of the sensor whose error it is; None for a force.
     """
-    chosen: list[tuple[Term, float]] = []
-    always = np.empty((len(design.y), 0))
-    floor = float(np.mean(design.y**2))
-    least = max(SETTINGS.material / max(floor, 1e-9), SETTINGS.share)
+    least = max(SETTINGS.material / max(float(np.mean(design.y**2)), 1e-9), SETTINGS.share)
     whole = Predictor(design)
     known: dict[tuple[str, float], Array] = {}
-    reached = 0.0
-    while len(chosen) < MOST_TERMS:
-        predictor = Predictor(design, always)
-        best: tuple[float, Term, float] | None = None
-        for term in terms:
-            if any(term is other and not term.shape for other, _ in chosen):
-                continue
-            shape, share = _best_shape(design, predictor, term, signal, known)
-            score = share - SIMPLER * len(term.numbers)
-            if best is None or score > best[0]:
-                best = score, term, shape
-        if best is None:
-            break
-        _, term, shape = best
-        more = np.hstack([always, _columns(design, term, shape, signal)])
-        together = whole.explained(more)
-        gained = predictor.explained(more[:, always.shape[1] :])
-        if together.share - reached < least or gained.interval(seed)[0] <= SURE:
-            break
-        chosen.append((term, shape))
-        always, reached = more, together.share
-    if not chosen:
-        return Formula((), 0.0, (0.0, 0.0))
-    last = whole.explained(always)
-    return Formula(tuple(_values(chosen, last.weights)), last.share, last.interval(seed))
+    beam = [_Set((), np.empty((len(design.y), 0)), 0.0)]
+    found: list[Formula] = []
+    for _ in range(MOST_TERMS):
+        grown: dict[tuple[str, ...], _Set] = {}
+        for begun in beam:
+            predictor = Predictor(design, begun.columns)
+            scored: list[tuple[float, Term, float]] = []
+            for term in terms:
+                if any(term is other and not term.shape for other, _ in begun.chosen):
+                    continue
+                shape, share = _best_shape(design, predictor, term, signal, known)
+                scored.append((share - SIMPLER * len(term.numbers), term, shape))
+            for _, term, shape in sorted(scored, key=lambda one: -one[0])[:BEAM]:
+                more = np.hstack([begun.columns, _columns(design, term, shape, signal)])
+                together = whole.explained(more)
+                gained = predictor.explained(more[:, begun.columns.shape[1] :])
+                if together.share - begun.share < least or gained.interval(seed)[0] <= SURE:
+                    continue
+                one = _Set((*begun.chosen, (term, shape)), more, together.share)
+                if one.key not in grown or grown[one.key].score < one.score:
+                    grown[one.key] = one
+        beam = sorted(grown.values(), key=lambda one: -one.score)[:BEAM]
+        beam = [one for one in beam if one.score > beam[0].score - BEHIND]
+        for one in beam:
+            last = whole.explained(one.columns)
+            values = tuple(_values(one.chosen, last.weights))
+            found.append(Formula(values, last.share, last.interval(seed)))
+    return found
+
+
+@dataclass(frozen=True)
+class _Set:
+    """Terms with what shapes them, their columns, and the share of the misfit that they explain where left out."""
+
+    chosen: tuple[tuple[Term, float], ...]
+    columns: Array
+    share: float
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """The terms' names, in any order."""
+        return tuple(sorted(term.name for term, _ in self.chosen))
+
+    @property
+    def score(self) -> float:
+        """The share, less what each number must explain."""
+        return self.share - SIMPLER * sum(len(term.numbers) for term, _ in self.chosen)
 
 
 def _columns(design: Design, term: Term, shape: float, signal: int | None) -> Array:

@@ -8,6 +8,7 @@ is the smoothness that predicts samples best that were left out.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,7 @@ class MissingForce:
         plays: one for each recording.
         smoothness: weight of the curvature that predicts left-out samples best.
         floors: mean square of the residuals in units of the noise floor, without the force and with it.
+        side: of the axis that it acts on, "motor" or "load".
     """
 
     axis: str
@@ -85,6 +87,12 @@ class MissingForce:
     plays: tuple[PlayAnswer, ...]
     smoothness: float
     floors: tuple[float, float]
+    side: str = "motor"
+
+    @property
+    def size(self) -> float:
+        """Root mean square of the force, in its unit."""
+        return float(np.sqrt(np.mean(np.concatenate([p.force for p in self.plays]) ** 2)))
 
     @property
     def worst(self) -> float:
@@ -96,7 +104,7 @@ class MissingForce:
 
 
 def missing_force(
-    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, passes: int = PASSES
+    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, passes: int = PASSES, at_load: bool = False
 ) -> MissingForce:
     """The force that one axis lacks.
 
@@ -104,10 +112,11 @@ def missing_force(
         model: refitted.
         plays: recorded.
         part: of the axis: what is compared, and the values that may move besides.
+        at_load: whether the force acts behind the belt, on the load's joint.
     """
     search = axis_search(model, plays, part, SearchOptions((), nthread))
     folds = search.evidence.fold(SETTINGS.block)
-    playing = Playing(model, plays, part.name, part.signals, part.base, nthread=nthread)
+    playing = Playing(model, plays, part.name, part.signals, part.base, at_load, nthread)
     sizes = [sum(len(n.time) for n in p.noise) for p in playing.plays]
     owner = np.repeat(np.arange(len(sizes)), sizes)
     first = np.concatenate([[0], np.cumsum(sizes)])
@@ -138,9 +147,61 @@ def missing_force(
             )  # fmt: skip
     left = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     here = np.concatenate([a.residuals for a in answers])
-    slides = next(a for a in model.rig.axes if a.name == part.name).slides
+    slides, side = model.rig.axis(part.name).slides, "load" if at_load else "motor"
     floors = float(np.mean(here**2)), float(np.mean(left**2))
-    return MissingForce(part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors)
+    return MissingForce(part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, side)
+
+
+@dataclass(frozen=True)
+class MissingOffset:
+    """What a sensor would be off by over time, were it alone to blame.
+
+    Attributes:
+        signal: its name; `unit` SI, of the offset.
+        time, offset, band: of each play (n,) s, the offset to be added to what the model says, its standard deviation.
+        floors: mean square that the model leaves of the signal, without the offset and with it.
+    """
+
+    signal: str
+    unit: str
+    time: tuple[Array, ...]
+    offset: tuple[Array, ...]
+    band: tuple[Array, ...]
+    floors: tuple[float, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, without the series."""
+        size = float(np.sqrt(np.mean(np.concatenate(self.offset) ** 2)))
+        return {"signal": self.signal, "unit": self.unit, "floors": list(self.floors), "root_mean_square": size}
+
+
+def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
+    """The offset that one sensor lacks, as smooth as predicts left-out samples best.
+
+    Args:
+        number: of the signal among those compared.
+    """
+    parts = []
+    for play in missing.plays:
+        here = play.signal == number
+        parts.append((play.residuals[here], _between(play.time[here], play.nodes, play.scale[here])))
+    weight = _bandwidth(parts)
+    found = [_smoothed(y, answer, weight) for y, answer in parts]
+    before = np.concatenate([y for y, _ in parts])
+    after = np.concatenate([y + answer @ own for (y, answer), (own, _) in zip(parts, found, strict=True)])
+    floors = float(np.mean(before**2)), float(np.mean(after**2))
+    offsets, bands = zip(*found, strict=True)
+    unit = "m" if missing.unit == "N" else "rad"
+    return MissingOffset(missing.signals[number], unit, tuple(p.nodes for p in missing.plays), offsets, bands, floors)
+
+
+def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
+    """(R, n) answer of samples at times (R,), in units of their scale, to what is linear between nodes."""
+    after = np.clip(np.searchsorted(nodes, time), 1, len(nodes) - 1)
+    share = np.clip((time - nodes[after - 1]) / (nodes[after] - nodes[after - 1]), 0.0, 1.0)
+    rows = np.tile(np.arange(len(time)), 2)
+    weights = np.concatenate([(1.0 - share) / scale, share / scale])
+    return csr_array((weights, (rows, np.concatenate([after - 1, after]))), shape=(len(time), len(nodes)))
 
 
 def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, csr_array, Array]]) -> bool:

@@ -5,29 +5,32 @@ Both are refitted in whole roll-outs together with the base values, and judged o
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
-from eps_tunnel_analysis.diagnose.axis import hypothesis
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, floor_known, folds_of, hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, moved_parts, search_of
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate, with_curves
+from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, rank
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.added_force import visited
-from eps_tunnel_analysis.law.depends import Depends, Design, Predictor, depends, knots_of, traced, variables
+from eps_tunnel_analysis.law.depends import Depends, Design, Predictor, depends, knots_of, sensors, traced, variables
 from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, prefixes, seen_mark
-from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formula, sensor_dictionary
-from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
+from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
+from eps_tunnel_analysis.law.missing_force import MissingForce, MissingOffset, missing_force, missing_offset
 from eps_tunnel_analysis.law.refit import floors_on, quick_bases, thorough_bases, worst_on
 from eps_tunnel_analysis.law.visit import Visit, visit
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
-from labyrinth_sim.effect import Effect, effects
+from labyrinth_sim.effect import Effect, effects, slide_unit
 from labyrinth_sim.model import Model, save_model
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.shown import shown
@@ -35,6 +38,7 @@ from labyrinth_sim.shown import shown
 ROUNDS = 6
 ENOUGH = 2.0  # floors where left out: a formula that leaves no more needs no curve beside it
 AS_GOOD = 1.2  # times the floors that the curve leaves where left out: a formula that leaves no more is preferred
+SAME = 1.02  # times the least that a formula leaves where left out: of those within it the shortest is kept
 FALLS = 0.7  # of the base's floors where left out; what leaves more is not proposed
 CONFIRMED = 0.5  # of what a model leaves of another command beyond noise: a law that holds takes away as much
 
@@ -46,11 +50,13 @@ class Refitted:
     Attributes:
         values: full parameter name -> fitted number.
         intervals: the same -> half of its 90 % interval.
+        units: the same -> SI unit of both.
         floors: left of all samples; `held_out`: of stretches of time that were left out.
     """
 
     values: Mapping[str, float]
     intervals: Mapping[str, float]
+    units: Mapping[str, str]
     floors: float
     held_out: float
 
@@ -95,6 +101,11 @@ class Proposal:
         curve: what is missing over the variable named, as (variable, force) at ten places, without any formula.
         visit: the command that shows it best, where something is named.
         confirmation: what another command says of it; None until one was played.
+        tried: equation -> floors left where left out, of each set of terms that was refitted.
+        ranked: set of effects, "none" or "unknown" -> probability, the proposal ranked as one candidate beside the sets
+            that the diagnosis found best; empty where nothing is proposed.
+        also: what else lacks a force: the load's side of an elastic axis, other axes.
+        offsets: what each sensor would be off by, were it alone to blame; where more than one sees the axis.
     """
 
     axis: str
@@ -113,6 +124,15 @@ class Proposal:
     curve: tuple[tuple[float, float], ...] = ()
     visit: Visit | None = None
     confirmation: Confirmation | None = None
+    tried: Mapping[str, float] = field(default_factory=dict)
+    ranked: Mapping[str, float] = field(default_factory=dict)
+    also: tuple[MissingForce, ...] = ()
+    offsets: tuple[MissingOffset, ...] = ()
+
+    @property
+    def probability(self) -> float:
+        """Of the proposal, beside the best sets of known effects; NaN where nothing is proposed."""
+        return self.ranked.get(self.effect, float("nan"))
 
     @property
     def position_unit(self) -> str:
@@ -140,6 +160,9 @@ class Proposal:
                 f" Proposed is {form}: {shown_number(self.refit.held_out, 2)} floors are left where left out, against "
                 f"{shown_number(self.base_held_out)}. "
             )
+            beside = [name for name in self.ranked if name not in (self.effect, NONE, UNKNOWN)]
+            text += f"Ranked beside {len(beside)} sets of known effects" if beside else "Ranked by the same rule"
+            text += f", its probability is {percent(self.probability)}. "
             text += self.confirmation.sentence if self.confirmation else "Found in these data, not confirmed."
         if self.depends.ties and self.visit:
             text += f" These recordings do not tell {self.depends.words}; {self.visit.name}.yaml may."
@@ -175,73 +198,155 @@ class Proposal:
             "not_told_apart": [d.variable for d in self.depends.ties],
             "curve": [list(point) for point in self.curve],
             "visit": None if self.visit is None else f"{self.visit.name}.yaml",
+            "curve_units": list(self.curve_units),
             "floors": list(self.missing.floors),
-            "depends_on": [asdict(d) for d in self.depends.dependences],
-            "terms": [{"term": c.term.equation, **c.values} for c in self.formula.terms],
+            "depends_on": [asdict(d) | {"period_unit": self.position_unit} for d in self.depends.dependences],
+            "terms": [{"term": c.term.equation, **c.values, "units": self._units(c)} for c in self.formula.terms],
+            "tried": dict(self.tried),
+            "probability": self.probability if self.ranked else None,
+            "ranked": dict(self.ranked),
+            "also": [_missing_json(m) for m in self.also],
+            "offsets": [o.to_json() for o in self.offsets],
             "refit": refit,
             "base_held_out": self.base_held_out if self.refit else None,
         }
 
+    @property
+    def curve_units(self) -> tuple[str, str]:
+        """SI units of the two columns of `curve`: of the variable named, and of what is missing."""
+        which = self.depends.first.curve if self.depends.first else ""
+        force, position = self.missing.unit, self.position_unit
+        over = {"curve_speed": f"{position}/s", "curve_load_friction": force, "curve_reversal": "s"}
+        over |= {"curve_time": "s", "curve_time_friction": "s"}
+        return over.get(which, position), position if which == "curve_sensor" else force
 
-def propose(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, seed: int = 0) -> Proposal:
+    def _units(self, chosen: Chosen) -> dict[str, str]:
+        slides = self.missing.unit == "N"
+        return {n.name: slide_unit(n.unit) if slides and n.name != "phase" else n.unit for n in chosen.term.numbers}
+
+
+def _missing_json(missing: MissingForce) -> dict[str, Any]:
+    return {"axis": missing.axis, "side": missing.side, "unit": missing.unit, "floors": list(missing.floors),
+            "root_mean_square": missing.size}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A formula or a free curve, refitted."""
+
+    kind: str
+    effect: str
+    law: Formula
+    refit: Refitted
+    model: Model
+    own: Hypothesis
+    search: Search
+
+    @property
+    def numbers(self) -> int:
+        return sum(len(c.term.numbers) for c in self.law.terms)
+
+
+def propose(
+    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, seed: int = 0,
+    beside: AxisDiagnosis | None = None,
+) -> Proposal:  # fmt: skip
     """What one axis lacks, if no effect of the library is it.
 
     Args:
         model: with its values refitted.
         plays: recorded.
         part: of the axis.
+        beside: what the diagnosis found of the axis, whose best sets the proposal is ranked with.
     """
     missing = missing_force(model, plays, part, nthread)
+    nothing = Formula((), 0.0, (0.0, 0.0))
     if missing.worst <= SETTINGS.healthy:
-        return Proposal(part.name, part.name, missing, Depends((), 0.0), Formula((), 0.0, (0.0, 0.0)))
+        return Proposal(part.name, part.name, missing, Depends((), 0.0), nothing)
     design = Design.of(missing)
     positions = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
     found = depends(design, positions, seed, ratios(model.rig, part.name))
     first, motions = found.first, [p.motion for p in design.plays]
     shows = visit(model, part.name, first or found.dependences[0], motions)
+    offsets = tuple(missing_offset(missing, number) for number in sensors(design, positions))
     if first is None:
-        return Proposal(part.name, part.name, missing, found, Formula((), 0.0, (0.0, 0.0)), base=model, visit=shows)
+        return Proposal(part.name, part.name, missing, found, nothing, base=model, visit=shows, offsets=offsets)
     sensor = list(part.signals).index(first.place) if first.curve == "curve_sensor" else None
-    law = formula(design, dictionary(design) if sensor is None else sensor_dictionary(design), sensor, seed)
+    terms = dictionary(design) if sensor is None else sensor_dictionary(design)
+    laws = formulas(design, terms, sensor, seed)
     spans = visited(motions)
     spans["curve_sensor"] = spans["curve_angle"]
     chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (first.curve, first.place))
     weights = Predictor(design).explained(chosen.columns(design), curve=True).weights
     table = tuple(zip(knots_of(first.curve, spans[first.curve]).tolist(), weights.tolist(), strict=True))
-    bare = Proposal(part.name, first.place, missing, found, law, base=model, curve=table, visit=shows)
+    bare = Proposal(part.name, first.place, missing, found, nothing, base=model, curve=table, visit=shows,
+                    offsets=offsets)  # fmt: skip
     run = SearchOptions((), nthread)
-    tried: list[tuple[str, str, Refitted, Model, float]] = []
-    text = ""
-    if law.terms:
-        text = effect_file(law.terms, sensor is not None)
-        effect = declared(text)
+    tried: list[_Tried] = []
+    for law in laws:
+        effect = declared(effect_file(law.terms, sensor is not None))
         lib = _library(model, part, effect, first.place)
         named = zip(law.terms, prefixes(law.terms), strict=True)
         start = {f"{NAME}.{first.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
-        tried.append(("formula", f"{NAME}.{first.place}", *_refitted(lib, plays, part, run, start)))
-    if not tried or not tried[0][2].held_out <= ENOUGH:  # NaN of one that diverges
+        tried.append(_refitted("formula", law, lib, plays, part, run, start))
+    best = _best(tried)
+    if best is None or best.refit.held_out > ENOUGH:
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, weights, strict=True)}
-        tried.append(("curve", f"{first.curve}.{first.place}", *_refitted(lib, plays, part, run, start)))
-    predicts = [t for t in tried if np.isfinite(t[2].held_out)]
-    if not predicts:
+        free = _refitted("curve", nothing, lib, plays, part, run, start)
+        if best is None or free.refit.held_out * AS_GOOD < best.refit.held_out:
+            best = free if np.isfinite(free.refit.held_out) else best
+    bare = replace(bare, tried={_equation(t.law): t.refit.held_out for t in tried})
+    if best is None:
         return bare
-    kind, name, refit, final, before = min(
-        predicts, key=lambda t: t[2].held_out * (1.0 if t[0] == "formula" else AS_GOOD)
-    )
-    if refit.held_out > FALLS * before:
+    base = best.search.refit([((), best.search.start)], ROUNDS, "fine")[0]
+    before = hypothesis(best.search, base)
+    if best.refit.held_out > FALLS * before.cost:
         return bare
-    form = " + ".join(c.term.equation for c in law.terms)
-    if kind == "formula":
-        law = replace(law, terms=tuple(_refined(law.terms, refit.values)))
+    text, law = "", best.law
+    if best.kind == "formula":
+        law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
         mark = seen_mark(model, declared(effect_file(law.terms, sensor is not None)), first.place, plays[0])
         text = effect_file(law.terms, sensor is not None, mark)
         found = _with_period(found, law, ratios(model.rig, part.name))
     return replace(
-        bare, kind=kind, effect=name, text=text if kind == "formula" else "",
-        equation=form if kind == "formula" else effects()[first.curve].equation,
-        refit=refit, base_held_out=before, model=final, depends=found, formula=law,
+        bare, kind=best.kind, effect=best.effect, text=text,
+        equation=_equation(law) if best.kind == "formula" else effects()[first.curve].equation,
+        refit=best.refit, base_held_out=before.cost, model=best.model, depends=found, formula=law,
+        ranked=_ranked(best, before, plays, len(terms), beside),
     )  # fmt: skip
+
+
+def _equation(law: Formula) -> str:
+    return " + ".join(c.term.equation for c in law.terms)
+
+
+def _best(tried: Sequence[_Tried]) -> _Tried | None:
+    """The formula that leaves least where left out; of those that leave hardly more, the one of fewest numbers."""
+    predicts = [t for t in tried if np.isfinite(t.refit.held_out)]  # NaN of one that diverges
+    if not predicts:
+        return None
+    least = min(t.refit.held_out for t in predicts)
+    near = [t for t in predicts if t.refit.held_out <= SAME * least]
+    return min(near, key=lambda t: (t.numbers, t.refit.held_out))
+
+
+def _ranked(
+    best: _Tried, before: Hypothesis, plays: Sequence[Play], terms: int, beside: AxisDiagnosis | None
+) -> dict[str, float]:  # fmt: skip
+    """Probabilities of the proposal, of none and unknown, and of the diagnosis's best sets if of the same samples."""
+    search = best.search
+    rivals: Sequence[Hypothesis] = ()
+    drifts = False
+    if beside is not None:
+        drifts = any(r.drift for r in beside.odd)
+        alike = beside.search.signal.shape == search.signal.shape and np.array_equal(beside.search.scale, search.scale)
+        rivals = [h for h in beside.hypotheses if h.refit.effects] if alike else ()
+    tried = terms + (len(beside.search.library.candidates) if beside else 0)
+    whole = replace(before, left_out=before.refit.residuals)
+    ranking = rank(whole, [*rivals, best.own], folds_of(search), search.blocks, tried, drifts=drifts,
+                   floor=floor_known(plays), signals=search.signal)  # fmt: skip
+    return ranking.probabilities
 
 
 def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[Chosen]:
@@ -256,7 +361,7 @@ def _with_period(found: Depends, law: Formula, turns: Mapping[str, float]) -> De
     first = found.first
     acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor"}
     waves = [c.values for c in law.terms if "period" in c.values and first and c.term.acts == acts.get(first.curve)]
-    if first is None or not waves:
+    if first is None or first.pair or not waves:
         return found
     period = abs(max(waves, key=lambda values: abs(values["size"]))["period"])
     named = replace(first, period=period, traced=traced(period, turns))
@@ -273,14 +378,40 @@ def confirmed(proposal: Proposal, plays: Sequence[Play], nthread: int = 0) -> Pr
 
 
 def proposal_of(diagnosis: Diagnosis, plays: Sequence[Play], nthread: int = 0, seed: int = 0) -> Proposal | None:
-    """What is proposed for the axis that lacks most, where the verdict is "unknown"; None elsewhere."""
+    """What is proposed for the axis that lacks most, where the verdict is "unknown"; None elsewhere.
+
+    With it the force that every other axis lacks which leaves more than noise, and that on the load's side of elastic
+    ones.
+    """
     left = {name: a.worst(name) for a in diagnosis.axes for name in a.part.axes if name != BALL}
     most = max(left, key=lambda name: left[name])
     if diagnosis.verdict.verdict != "unknown" or left[most] <= SETTINGS.healthy:
         return None
-    alone = [without_ball(p) for p in plays]
-    part = next(p for p in axis_parts(diagnosis.base_model, alone) if p.name == most)
-    return propose(diagnosis.base_model, alone, part, nthread, seed)
+    model, alone = diagnosis.base_model, [without_ball(p) for p in plays]
+    parts = {p.name: p for p in axis_parts(model, alone)}
+    beside = next(a for a in diagnosis.axes if most in a.part.axes)
+    proposal = propose(model, alone, parts[most], nthread, seed, beside)
+    return replace(proposal, also=also_missing(model, alone, parts, most, left, nthread))
+
+
+def also_missing(
+    model: Model, plays: Sequence[Play], parts: Mapping[str, AxisPart], most: str, left: Mapping[str, float],
+    nthread: int = 0,
+) -> tuple[MissingForce, ...]:  # fmt: skip
+    """Forces that others than the motor's side of one axis lack.
+
+    Args:
+        parts: axis -> what is compared of it.
+        most: that axis.
+        left: axis -> floors that the model leaves of it.
+    """
+    found = []
+    for name, part in parts.items():
+        if left.get(name, 0.0) <= SETTINGS.healthy:
+            continue
+        sides = ([False] if name != most else []) + ([True] if model.rig.axis(name).belt else [])
+        found += [missing_force(model, plays, part, nthread, at_load=side) for side in sides]
+    return tuple(found)
 
 
 def propose_on(
@@ -312,9 +443,10 @@ def _library(model: Model, part: AxisPart, effect: Effect, place: str) -> Librar
 
 
 def _refitted(
-    lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOptions, start: Mapping[str, float]
-) -> tuple[Refitted, Model, float]:
-    """A library's one candidate in roll-outs, from start values; the model with it; the base's floors, left out."""
+    kind: str, law: Formula, lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOptions,
+    start: Mapping[str, float],
+) -> _Tried:  # fmt: skip
+    """A library's one candidate in roll-outs, from start values."""
     search = search_of(lib, plays, part, run)
     own = lib.candidates[0]
     values = search.start.copy()
@@ -322,7 +454,6 @@ def _refitted(
         column = lib.names.index(name) if name in lib.names else -1
         if column >= 0:
             values[column] = np.clip(number, search.low[column], search.high[column])
-    base = search.refit([((), search.start)], ROUNDS, "fine")[0]
     refit = search.refit([((own,), values)], ROUNDS, "fine")[0]
     columns = search.fitted(refit)
     slopes = search.jacobian(refit)
@@ -332,9 +463,10 @@ def _refitted(
     half = 1.645 * np.sqrt(np.maximum(np.diag(covariance), 0.0)) * span
     fitted = {lib.names[c]: float(refit.values[c]) for c in columns}
     intervals = {lib.names[c]: float(h) for c, h in zip(columns, half, strict=True)}
-    model = _with(lib.model, own, part, fitted)
-    found = Refitted(fitted, intervals, refit.cost, hypothesis(search, refit).cost)
-    return found, model, hypothesis(search, base).cost
+    known = lib.model.parameters()
+    judged = hypothesis(search, refit)
+    found = Refitted(fitted, intervals, {name: known[name].unit for name in fitted}, refit.cost, judged.cost)
+    return _Tried(kind, own.name, law, found, _with(lib.model, own, part, fitted), judged, search)
 
 
 def _with(model: Model, own: Candidate, part: AxisPart, fitted: Mapping[str, float]) -> Model:
