@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node's program answers to words that it does not understand, and to --help: one clear line."""
+"""What every node answers to words that it does not understand, to --help, and to a wrong goal: one clear line."""
 
 import os
 import subprocess
+from collections.abc import Callable
 from importlib import import_module
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2 and the built workspace: make setup")
 pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspace: make setup")
 
+from eps_tunnel_analysis.nodes import analysis_node
 from eps_tunnel_analysis.nodes.rig_processes import executable
 
 NODES = {
@@ -67,3 +71,15 @@ def test_a_misspelt_parameter_is_refused(name: str, domain: int) -> None:
     assert done.returncode == 2, done.stderr
     assert "no_such_parameter" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_goal_that_is_no_task_is_refused_with_what_is_wrong_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    works: list[Callable[[Any], None]] = []
+    told: list[tuple[bool, str]] = []
+    goals = SimpleNamespace(settle=lambda handle, success: None)
+    monkeypatch.setattr(analysis_node, "OneGoal", lambda *given: works.append(given[-1]) or goals)
+    node = SimpleNamespace(create_publisher=lambda *_: None, say=lambda *said: told.append(said))
+    analysis_node.DiagnoseServer(cast(Any, node))
+    goal = SimpleNamespace(bags=[], model=7, out="out", seed=0, candidates=[])
+    works[0](SimpleNamespace(request=goal, execute=lambda finish: finish(None)))
+    assert told == [(False, "model: Input should be a valid string, got 7.")]

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records both sides, and follows the gap between them while they run."""
 
+import math
 import sys
 import time
 from array import array
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -21,13 +23,14 @@ from std_msgs.msg import Float64
 
 from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.live import Figures, Judged, LiveGap, StampCounts
-from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
-from eps_tunnel_analysis.nodes.diagnose_server import DiagnoseServer
-from eps_tunnel_analysis.nodes.messages import nanoseconds, to_time
+from eps_tunnel_analysis.nodes.common import SIDES, Handle, OneGoal, TunnelNode, attempted, run_node
+from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched, nanoseconds, to_time
 from eps_tunnel_analysis.nodes.recorder import TAKE_PERIOD, Recorder
 from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
-from labyrinth_msgs.msg import BallState, LiveCounters, RunningModel, Srg, Trial, TunnelSample
+from eps_tunnel_analysis.tasks import DiagnoseTask, run_task
+from labyrinth_msgs.action import Diagnose
+from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, RunningModel, Srg, Trial, TunnelSample
 from labyrinth_msgs.srv import Record
 from labyrinth_sim.config import typed_path
 from labyrinth_sim.errors import InputError
@@ -36,6 +39,65 @@ from labyrinth_sim.rig import WORD
 PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTED: "aborted"}
 SUFFIX_FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
 SUFFIX_UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
+
+
+class DiagnoseServer:
+    """Action server /diagnose of a node, and its latched topic /srg/diagnosis."""
+
+    def __init__(self, node: TunnelNode) -> None:
+        self._node = node
+        self._verdicts = node.create_publisher(Diagnosis, "srg/diagnosis", latched())
+        self._goals = OneGoal(
+            node, Diagnose, "diagnose",
+            lambda goal: f"Refused to diagnose '{goal.model}': another diagnosis is under way.", self._work,
+        )  # fmt: skip
+
+    @property
+    def busy(self) -> bool:
+        """While a diagnosis runs."""
+        return self._goals.busy
+
+    def close(self) -> None:
+        """Waits for the end of what runs; `node.stopping` calls it off."""
+        self._goals.close()
+
+    def _work(self, handle: Handle) -> None:
+        def publish(progress: dict[str, Any]) -> None:
+            done, of = int(progress["rollouts"]), int(progress["of"])
+            stage = f"{progress['doing']}, {done:,} roll-outs"
+            share = done / of if of else 0.0
+            handle.publish_feedback(Diagnose.Feedback(progress=share, best=math.nan, stage=stage))
+
+        def diagnose() -> tuple[dict[str, Any], str]:
+            result = run_task(diagnose_task(handle.request), publish, lambda: self._goals.stopped(handle))
+            return result.content or {}, result.complaint
+
+        content, message = attempted("diagnosis", diagnose, lambda message: ({}, message))
+        handle.execute(lambda h: self._finish(h, content, message))
+
+    def _finish(self, handle: Handle, content: dict[str, Any], message: str) -> Diagnose.Result:
+        result = Diagnose.Result(success=bool(content), message=message)
+        try:
+            if content:
+                out = diagnose_task(handle.request).out
+                result.message, result.file = content["sentence"], str(out / "diagnosis.json")
+                result.diagnosis = diagnosis_message(content, str((out / "report.html").resolve()))
+                result.diagnosis.header.stamp = self._node.get_clock().now().to_msg()
+                self._verdicts.publish(result.diagnosis)
+        except Exception:
+            self._goals.free()
+            raise
+        self._goals.settle(handle, bool(content))
+        self._node.say(bool(content), result.message)
+        return result
+
+
+def diagnose_task(goal: Diagnose.Goal) -> DiagnoseTask:
+    """A goal as a task. Raises pydantic's ValidationError."""
+    return DiagnoseTask(
+        bags=tuple(map(typed_path, goal.bags)), model=goal.model, out=typed_path(goal.out), seed=goal.seed,
+        candidates=tuple(goal.candidates),
+    )  # fmt: skip
 
 
 class AnalysisNode(TunnelNode):

@@ -4,11 +4,9 @@
 import sys
 from typing import Any
 
-from pydantic import ValidationError
-
-from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode, run_node
+from eps_tunnel_analysis.nodes.common import Handle, OneGoal, TunnelNode, attempted, run_node
 from eps_tunnel_analysis.processes import CommandResult
-from eps_tunnel_analysis.tasks import CalibrateTask, run_task, task_complaint
+from eps_tunnel_analysis.tasks import CalibrateTask, run_task
 from labyrinth_msgs.action import Calibrate
 from labyrinth_sim.config import typed_path
 
@@ -39,18 +37,13 @@ class CalibrateNode(TunnelNode):
                 Calibrate.Feedback(progress=count / progress["of"], best=progress["best"], evaluations=count)
             )
 
-        try:
+        def fit() -> Calibrate.Result:
             signals = [name for name in self.get_parameter("signals").value or [] if name]
             task = calibrate_task(handle.request, signals)
-            answer = result(run_task(task, publish, lambda: self._goals.stopped(handle)))
-        except ValidationError as error:
-            answer = Calibrate.Result(success=False, message=task_complaint(error))
-        except Exception as error:  # a thread that died silently would leave the node busy for ever
-            answer = Calibrate.Result(success=False, message=f"The calibration failed: {error!r}.")
-        if answer.success:  # rclpy knows a call by its line, and allows each one severity
-            self.get_logger().info(answer.message)
-        else:
-            self.get_logger().error(answer.message)
+            return result(run_task(task, publish, lambda: self._goals.stopped(handle)))
+
+        answer = attempted("calibration", fit, lambda message: Calibrate.Result(success=False, message=message))
+        self.say(answer.success, answer.message)
         handle.execute(lambda h: self._finish(h, answer))
 
     def _finish(self, handle: Handle, answer: Calibrate.Result) -> Calibrate.Result:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 
 import rclpy
+from pydantic import ValidationError
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -74,6 +75,13 @@ class TunnelNode(Node):
     def full_name(self) -> str:
         """The node's name with its namespace, as diagnostics are called."""
         return str(self.get_fully_qualified_name()).strip("/")
+
+    def say(self, success: bool, message: str) -> None:
+        """Logs how something ended."""
+        if success:  # rclpy knows a call by its line, and allows each one severity
+            self.get_logger().info(message)
+        else:
+            self.get_logger().error(message)
 
     def complain(self, complaint: str) -> None:
         """Keeps a complaint about the parameters for `check_parameters`."""
@@ -181,6 +189,24 @@ def run_node(program: str, about: str, make: Callable[[], NodeT], args: list[str
 
 
 Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
+ResultT = TypeVar("ResultT")
+
+
+def attempted(what: str, work: Callable[[], ResultT], refused: Callable[[str], ResultT]) -> ResultT:
+    """What some work finds, or what `refused` makes of the reason why it could not be done.
+
+    Args:
+        what: the work in words, as "diagnosis".
+        work: may raise pydantic's ValidationError of a goal that is no task.
+    """
+    try:
+        return work()
+    except ValidationError as error:
+        from eps_tunnel_analysis.tasks import task_complaint  # takes a while, which nodes without tasks do without
+
+        return refused(task_complaint(error))
+    except Exception as error:  # a thread that died silently would leave the node busy for ever
+        return refused(f"The {what} failed: {error!r}.")
 
 
 class OneGoal:

@@ -121,10 +121,7 @@ class Player(TunnelNode):
         except Exception as error:  # a thread that died silently would leave the player busy for ever
             self.get_logger().error(traceback.format_exc())
             outcome = Outcome(False, f"The player failed: {error!r}. Its log tells where.", ())
-        if outcome.success:
-            self.get_logger().info(outcome.message)
-        else:
-            self.get_logger().error(outcome.message)
+        self.say(outcome.success, outcome.message)
         return outcome
 
     def _autostart(self) -> None:
