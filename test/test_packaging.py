@@ -6,12 +6,16 @@ import configparser
 import os
 import re
 import shutil
+import site
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+
+import labyrinth_hw.config
+import labyrinth_sim.config
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "config"
@@ -173,3 +177,16 @@ def test_every_executable_has_its_function(package: str) -> None:
             for alias in node.names
         }
         assert function in defined | brought, f"{package} {name}: {module} has no {function}"
+
+
+def test_hardware_files_are_looked_for_where_rigs_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for place in ("named", "sourced/share/one/config", "prefix/share/one/config", "user/share/one/config"):
+        (tmp_path / place / "hw").mkdir(parents=True)
+        (tmp_path / place / "testbed").mkdir()
+    monkeypatch.setenv(labyrinth_sim.config.VARIABLE, str(tmp_path / "named"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "sourced"))
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "prefix"))
+    monkeypatch.setattr(site, "getuserbase", lambda: str(tmp_path / "user"))
+    for kind in ("hw", "testbed"):
+        assert labyrinth_hw.config.folders(kind) == labyrinth_sim.config.folders(kind)
+        assert tmp_path / "user" / "share" / "one" / "config" / kind in labyrinth_hw.config.folders(kind)

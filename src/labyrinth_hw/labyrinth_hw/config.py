@@ -5,6 +5,7 @@ New files are written whole or not at all.
 """
 
 import os
+import site
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -69,8 +70,12 @@ def _candidates(kind: str) -> Iterator[Path]:
     for parent in Path(__file__).resolve().parents:
         if (parent / "src" / "labyrinth_hw" / "package.xml").is_file():
             yield parent / "config" / kind
-    for prefix in (*_split("AMENT_PREFIX_PATH"), Path(sys.prefix)):
+    for prefix in _prefixes():
         yield from sorted(prefix.glob(f"share/*/config/{kind}"))
+
+
+def _prefixes() -> tuple[Path, ...]:
+    return (*_split("AMENT_PREFIX_PATH"), Path(sys.prefix), Path(site.getuserbase()))
 
 
 def _split(variable: str) -> list[Path]:
@@ -108,7 +113,7 @@ def find_geometry() -> Path | None:
         path = folder / "labyrinth_geometry.yaml"
         if path.is_file():
             return path
-    for prefix in (*_split("AMENT_PREFIX_PATH"), Path(sys.prefix)):
+    for prefix in _prefixes():
         for path in sorted(prefix.glob("share/*/config/labyrinth_geometry.yaml")):
             return path
     return None
