@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether stated intervals of fitted values hold the truth, and what a designed play is worth.
 
-    python benchmarks/values.py --cases 200 --seed 100000 --json out.json
+    python benchmarks/values.py --cases 200 --seed 100000 --named --json out.json
 
 Each case draws a rig: gain, D and delay of a drive, three commands, five trials of each with sensor noise, ticks and
 starts that differ. Once the model has all that the rig has; once the rig has one effect of the library more, and its
@@ -10,6 +10,7 @@ apart. The rigs are made by the library's own physics, so that true values exist
 
     interval_coverage           share of values whose 95 % interval holds the truth
     interval_coverage_missing   the same where the model lacks an effect
+    interval_coverage_named     the same of the drive's values and the effect's, once the effect is added (--named)
     repeat_agreement            share of pairs of recordings of one rig whose values agree within their intervals
     width_ratio_designed        half-widths after a play that `next-experiment --for values` designs, over those after
                                 excite_12s, which moves as long; geometric mean over values and rigs
@@ -30,6 +31,7 @@ from typing import Any
 import numpy as np
 from counting import Figure, Record, flat, rate
 
+from eps_tunnel_analysis.diagnose.addition import add_effects
 from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
 from eps_tunnel_analysis.sequence_file import find_sequence
@@ -119,6 +121,22 @@ def coverage_case(job: tuple[int, bool]) -> Record:
     return {"seed": seed, "missing": effect, "values": values}
 
 
+def named_case(seed: int) -> Record:
+    """Which intervals of one rig hold the truth once the effect that the model lacked is added."""
+    rng = np.random.default_rng([seed, 1])  # the rigs of `coverage_case` that lack one
+    truth, effect, rig = drawn(rng, True)
+    plays = [play(rig, c, rng) for c in commands(rng)]
+    start = load_model("labyrinth_mx64").with_values(dict(zip(FREE, START, strict=True)))
+    added = add_effects(start, plays, [effect], nthread=1)
+    true = {n: v for n, v in rig.values().items() if n in truth or n.startswith(f"{effect}.")}
+    values = [
+        {"name": n, "truth": v, "value": added.values[n], "interval": list(added.intervals[n]),
+         "held": bool(added.intervals[n][0] <= v <= added.intervals[n][1])}
+        for n, v in true.items() if n in added.intervals
+    ]  # fmt: skip
+    return {"seed": seed, "missing": effect, "values": values}
+
+
 def repeat_case(seed: int) -> Record:
     """Whether three recordings of the same rig agree."""
     rng = np.random.default_rng([seed, 2])
@@ -161,6 +179,7 @@ def figures(records: dict[str, list[Record]]) -> dict[str, Figure]:
     return {
         "interval_coverage": held("complete"),
         "interval_coverage_missing": held("missing"),
+        "interval_coverage_named": held("named"),
         "repeat_agreement": rate([p for r in records["repeated"] for p in r["pairs"]], lambda p: p["agree"]),
         "width_ratio_designed": ratio,
     }
@@ -172,6 +191,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--seed", type=int, default=100_000, help="of the first case; the others follow")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="cases side by side")
+    parser.add_argument("--named", action="store_true", help="also with the missing effect added, for every case")
     parser.add_argument("--quick", action="store_true", help="a few cases only")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
@@ -181,6 +201,7 @@ def main() -> None:
     jobs: dict[str, tuple[Callable[[Any], Record], Sequence[Any]]] = {
         "complete": (coverage_case, [(s, False) for s in seeds]),
         "missing": (coverage_case, [(s, True) for s in seeds]),
+        "named": (named_case, seeds if given.named else ()),
         "repeated": (repeat_case, seeds[:repeated]),
         "designed": (designed_case, seeds[:designed]),
     }

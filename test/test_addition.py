@@ -21,6 +21,8 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate
 
+HIDDEN_MOMENT = 0.35 / 9.81  # kg m, of the strong load on the emulated rig, 0.35 N m
+
 
 @pytest.mark.parametrize("name", ["gravity_load.x", "sensor_bias.motor_x"])
 def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str) -> None:
@@ -78,6 +80,19 @@ def test_a_fit_that_has_not_converged_is_told() -> None:
     told = f"The fit of {name} has not converged: other values may fit better."
     assert added.doubts[-1] == told and told in added.sentence
     assert not any("converged" in text for text in addition_of(still, [], [play]).doubts), "the values alone are no fit"
+
+
+def test_the_interval_of_a_named_effect_holds_what_was_hidden() -> None:
+    play = as_play(recorded("gravity_load=strong", seed=3))
+    added = add_effects(wrong_model(), [play], ["gravity_load.x"], 1)
+    low, high = added.intervals["gravity_load.x.moment"]
+    value = added.values["gravity_load.x.moment"]
+    assert low < value < high and high - low < 0.1 * abs(value)
+    assert low <= -HIDDEN_MOMENT <= high
+    assert set(added.intervals) <= set(added.values)
+    infos = added.model.parameters()
+    assert all(infos[n].low <= a <= added.values[n] <= b <= infos[n].high for n, (a, b) in added.intervals.items())
+    assert added.to_json()["intervals"]["gravity_load.x.moment"] == [low, high]
 
 
 def test_values_at_their_bounds_are_told() -> None:

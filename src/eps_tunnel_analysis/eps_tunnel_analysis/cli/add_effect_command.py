@@ -45,8 +45,9 @@ def run(arguments: argparse.Namespace) -> None:
         print(json_text({"model": str(out), **added.to_json(), "sentence": " ".join(said)}), end="")
         return
     shown = console()
-    rows = [(n, f"{v:.5g}") for n, v in added.values.items()]
-    table(shown, "Fitted values", ("parameter", "value"), rows)
+    known = {n: f"{low:.4g} to {high:.4g}" for n, (low, high) in added.intervals.items()}
+    rows = [(n, f"{v:.5g}", known.get(n, "not felt")) for n, v in added.values.items()]
+    table(shown, "Fitted values", ("parameter", "value", "95 % interval"), rows)
     print_recordings(shown, added.plays, added.model.rig.position_unit)
     for sentence in said:
         shown.print(sentence, soft_wrap=True, markup=False)

@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from eps_tunnel_analysis.diagnose.falls import Three, fall_sentences
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
+from eps_tunnel_analysis.fit.named_intervals import intervals_json, named_intervals
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.outputs import plain
 from eps_tunnel_analysis.simulated import Play
@@ -38,6 +39,7 @@ class Addition:
             in m, where all of them act on it.
         plays: the error of each recording for the same three models, rad.
         values: what was fitted.
+        intervals: 95 % of them, as `named_intervals` gives them.
         doubts: values at their bounds and fits that have not converged, one sentence each.
         unit: of the errors.
         itself: alikeness, joint at k = 1, that the rig reaches against itself; NaN where unknown.
@@ -50,6 +52,7 @@ class Addition:
     after: Errors
     plays: tuple[tuple[PlayError, ...], ...]
     values: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
     unit: str = "rad"
     itself: float = math.nan
@@ -75,6 +78,7 @@ class Addition:
             "recordings": {n: [asdict(e) for e in of_one] for n, of_one in zip(names, self.plays, strict=True)},
             "rig_against_itself": plain(self.itself),
             "values": dict(self.values),
+            "intervals": plain(intervals_json(self.intervals)),
             "doubts": list(self.doubts),
             "sentence": self.sentence,
         }
@@ -142,8 +146,8 @@ def addition_of(
     fitted = [n for axis in axes for n in (*axis.part.base, *(p for c in axis.own(chosen) for p in c.parameters))]
     doubts = tuple(text for axis in axes for text in _doubts(axis, chosen))
     return Addition(
-        tuple(names), final, given, before, after, (*v.plays[:2], last), {n: values[n] for n in fitted}, doubts, unit,
-        v.rig_against_itself,
+        tuple(names), final, given, before, after, (*v.plays[:2], last), {n: values[n] for n in fitted},
+        named_intervals(axes, chosen, final), doubts, unit, v.rig_against_itself,
     )  # fmt: skip
 
 

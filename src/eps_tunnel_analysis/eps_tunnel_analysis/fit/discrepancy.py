@@ -8,12 +8,12 @@ much as the best one does.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.candidates import Library, library, starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library, starts
 from eps_tunnel_analysis.diagnose.evidence import play_evidence
 from eps_tunnel_analysis.fit.intervals import autocorrelation_length
 from eps_tunnel_analysis.fit.problem import Objective, Problem
@@ -73,17 +73,40 @@ def discrepancy(
         return nothing
     model = objective.model.with_values(dict(zip(problem.names, values.tolist(), strict=True)))
     lib = library(model, (), any(s in objective.signals for s in BALL_SIGNALS))
-    rows, names = _rows(lib)
-    if not names:
-        return nothing
+    infos = lib.model.parameters()
     effects = copy.copy(objective)
     effects.model, effects.free = lib.model, lib.names
-    inverse = np.linalg.pinv(slopes)
-    worth = len(residuals) / (2.0 * autocorrelation_length(residuals, problem.blocks) + 1.0)
+
+    def answer(rows: Array) -> Array:
+        return problem.fitness.scaled(effects(rows))
+
+    off = np.array([infos[n].value for n in lib.names])
+    inverse = np.asarray(np.linalg.pinv(slopes), dtype=np.float64)
+    return shifts_of(answer, lib, lib.candidates, off, residuals, slopes, inverse, problem.blocks)
+
+
+def shifts_of(
+    answer: Callable[[Array], Array], lib: Library, candidates: Sequence[Candidate], off: Array, residuals: Array,
+    slopes: Array, inverse: Array, blocks: Array,
+) -> Discrepancy:  # fmt: skip
+    """What each of some effects may have done to a fit, if it were the one that is missing.
+
+    Args:
+        answer: maps values (n, K) of all of the library's names to residuals (n, R).
+        candidates: effects of the library to try.
+        off: (K,) values of the fit, with these effects switched off.
+        residuals, slopes: (R,) and (R, k) there.
+        inverse: (k, R) from residuals to values.
+        blocks: (R,) which unbroken run of samples each belongs to.
+    """
+    rows, names = _rows(lib, candidates, off)
+    if not names:
+        return Discrepancy(np.empty((0, slopes.shape[1])))
+    worth = len(residuals) / (2.0 * autocorrelation_length(residuals, blocks) + 1.0)
 
     def tried(rows: Array, names: tuple[str, ...]) -> _TriedEffects:
         """The part that the values can not imitate, scaled to what is left; and what the other part shifts."""
-        change = np.nan_to_num(problem.fitness.scaled(effects(rows))) - residuals
+        change = np.nan_to_num(answer(rows)) - residuals
         imitated = change @ inverse.T
         rest = change - imitated @ slopes.T
         size = np.maximum(np.sum(rest**2, axis=1), 1e-300)
@@ -93,7 +116,6 @@ def discrepancy(
 
     first = tried(rows, names)
     best = _best_of_each(first)[:AGAIN]
-    off = np.array([lib.model.parameters()[n].value for n in lib.names])
     again = tried(_stronger(lib, off, first, best), tuple(first.names[i] for i in best))
     left = np.concatenate([first.left, again.left])
     shift = np.concatenate([first.shift, again.shift])
@@ -111,12 +133,10 @@ def _misfit(objective: Objective, plays: Sequence[Play], raw: Array) -> float:
     return float(np.mean((np.nan_to_num(raw) / floors[objective.blocks]) ** 2))
 
 
-def _rows(lib: Library) -> tuple[Array, tuple[str, ...]]:
+def _rows(lib: Library, candidates: Sequence[Candidate], off: Array) -> tuple[Array, tuple[str, ...]]:
     """(n, K) values of a few strengths of every effect, and the names of the effects."""
-    infos = lib.model.parameters()
-    off = np.array([infos[n].value for n in lib.names])
     rows, names = [], []
-    for candidate in lib.candidates:
+    for candidate in candidates:
         strengths = starts(candidate)
         chosen = np.unique(np.linspace(0, len(strengths) - 1, ROWS).round().astype(int))
         columns = [lib.names.index(n) for n in candidate.parameters]

@@ -42,7 +42,14 @@ def unknown_intervals(k: int) -> Intervals:
     return Intervals(nothing, nothing, np.empty((0, k)), 0, np.full((k, k), np.nan))
 
 
-def intervals(jac: Array, residuals: Array, blocks: Array, loose_bound: float = 0.25) -> Intervals:
+def intervals(
+    jac: Array,
+    residuals: Array,
+    blocks: Array,
+    loose_bound: float = 0.25,
+    held: Array | None = None,
+    held_variance: float = 1.0,
+) -> Intervals:
     """95 % intervals of a least-squares fit with autocorrelated residuals.
 
     Args:
@@ -50,14 +57,17 @@ def intervals(jac: Array, residuals: Array, blocks: Array, loose_bound: float = 
         residuals: (R,) at the fit.
         blocks: (R,) which unbroken run of samples each belongs to.
         loose_bound: standard deviation, in normalised units, beyond which a direction counts as not identifiable.
+        held: (k,) how firmly the fit held each value where it was stated, as slopes of further residuals; each of these
+            has `held_variance`.
     """
     k = jac.shape[1]
     lag = autocorrelation_length(residuals, blocks)
-    _, sizes, right = np.linalg.svd(jac, full_matrices=False)
+    firm = np.zeros(k) if held is None else held
+    _, sizes, right = np.linalg.svd(np.vstack([jac, np.diag(firm)]) if firm.any() else jac, full_matrices=False)
     # A direction that moves nothing has no finite variance; a floor keeps the numbers finite and the direction loose.
     floor = max(sizes.max(initial=0.0) * 1e-9, np.finfo(float).tiny)
     bread = (right.T / np.maximum(sizes, floor) ** 2) @ right
-    covariance = bread @ _long_run(jac, residuals, blocks, lag) @ bread
+    covariance = bread @ (_long_run(jac, residuals, blocks, lag) + held_variance * np.diag(firm**2)) @ bread
     # Few parameters eat few degrees of freedom, but correlated samples are few too.
     independent = max(len(residuals) / (2 * lag + 1), k + 1.0)
     covariance *= independent / max(independent - k, 1.0)

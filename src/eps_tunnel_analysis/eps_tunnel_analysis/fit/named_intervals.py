@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""95 % intervals of the values of a model to which a diagnosis has added effects.
+
+They have the parts that a calibration's have: noise that remembers, the pose in which a play starts, and, where more
+than noise is left, what another missing effect would have shifted. And they hold the step that the slopes still
+promise, for a search ends where it gains little. Of another valley of the misfit, slopes tell nothing.
+"""
+
+import copy
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.base_values import sensed_joints
+from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.fit.discrepancy import VISIBLE, shifts_of
+from eps_tunnel_analysis.fit.intervals import intervals, widened
+from labyrinth_sim.model import Model
+from labyrinth_sim.trials import Array
+
+
+def named_intervals(
+    axes: Sequence[AxisDiagnosis], named: Collection[str], model: Model
+) -> dict[str, tuple[float, float]]:
+    """Full name of each fitted value -> its 95 % interval, in its unit, cut at its bounds.
+
+    Args:
+        named: effects that were added; none for the base values alone.
+        model: with them, fitted.
+
+    Returns:
+        Nothing on values that the recordings do not feel, which were left as stated.
+    """
+    values, infos = model.values(), model.parameters()
+    found: dict[str, tuple[float, float]] = {}
+    for axis in axes:
+        search = copy.copy(axis.search)
+        search.progress = None  # who showed it is done
+        refit = axis.acting(named)
+        columns = search.fitted(refit)
+        half = _half_widths(search, refit, columns) * (search.high - search.low)[columns]
+        for column, width in zip(columns, half.tolist(), strict=True):
+            name = search.library.names[column]
+            low, high = infos[name].low, infos[name].high
+            found[name] = (max(values[name] - width, low), min(values[name] + width, high))
+    return found
+
+
+def intervals_json(found: Mapping[str, tuple[float, float]]) -> dict[str, list[float]]:
+    """Name -> [low, high]."""
+    return {name: [low, high] for name, (low, high) in found.items()}
+
+
+def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
+    """(k,) of the 95 % intervals of what a refit fits, in shares of the bounds' span; NaN where a slope diverges."""
+    if not columns:
+        return np.zeros(0)
+    slopes, firm = search.jacobian(refit), search.firmness[list(columns)]
+    if not np.isfinite(slopes).all():
+        return np.full(len(columns), np.nan)
+    blocks = search.blocks.astype(float)
+    found = intervals(slopes, refit.residuals, blocks, held=firm, held_variance=SETTINGS.correlated)
+    inverse = np.linalg.pinv(np.vstack([slopes, np.diag(firm)]))
+    off = firm * ((refit.values - search.start) / (search.high - search.low))[list(columns)]
+    step = inverse @ np.concatenate([refit.residuals, off])
+    inverse = inverse[:, : len(slopes)]
+    more = np.hypot(_by_start(search, refit, inverse), _by_effects(search, refit, slopes, inverse))
+    return widened(found, np.hypot(more, step)).half_width
+
+
+def _by_start(search: Search, refit: Refit, inverse: Array) -> Array:
+    """(k,) by how much values move with the noise of the pose in which each play starts; a standard deviation."""
+    exact = search.levels["exact"]
+    here = search.residuals(refit.values[None], "exact")[0]
+    own = search.blocks // len(exact.signals)
+    total = np.zeros(len(inverse))
+    for names in sensed_joints(search):
+        noise = [exact.start_noise(play, names[0]) for play in range(len(exact.plays))]
+        moved = exact.started([dict.fromkeys(names, by) for by in noise])
+        change = np.nan_to_num(moved(refit.values[None])[0, search.used] / search.scale - here)
+        for play in range(len(exact.plays)):
+            total += (inverse @ np.where(own == play, change, 0.0)) ** 2
+    return np.sqrt(total)
+
+
+def _by_effects(search: Search, refit: Refit, slopes: Array, inverse: Array) -> Array:
+    """(k,) by how much an effect that is still missing may have shifted values."""
+    if refit.cost <= VISIBLE:
+        return np.zeros(len(inverse))
+    others = [c for c in search.library.candidates if c.name not in refit.effects]
+    search.settle_at(refit)
+    return shifts_of(
+        search.residuals,
+        search.library,
+        others,
+        refit.values,
+        refit.residuals,
+        slopes,
+        inverse,
+        search.blocks.astype(float),
+    ).deviation
