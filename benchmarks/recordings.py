@@ -161,11 +161,24 @@ def page_text(figures: dict[str, Any], rig: Recorded) -> str:
         kind = "held out" if given["held_out"] else "fitted"
         errors = " | ".join(_number(scale * one["error"]) for one in (given, refitted, after))
         lines.append(f"| {given['name']} | {kind} | {errors} |")
+    lines += _law(figures.get("proposed_effect"))
     order = ", ".join((*rig.fitted, *rig.held_out))
     lines += ["", f"Commands are numbered in the order {order}, those held out anew."]
     spent = [f"{one['words'][1]} {one['processor_s']:.0f} s" for one in figures["commands"]]
     lines += ["", f"Processor time: {', '.join(spent)}; {figures['evaluations']} roll-outs.", ""]
     return "\n".join(lines)
+
+
+def _law(proposed: dict[str, Any] | None) -> list[str]:
+    """What is said of a law where nothing known explains the gap: in words, and what it leaves where left out."""
+    if not proposed:
+        return []
+    lines = ["", proposed["sentence"]]
+    if proposed.get("refit"):
+        form = proposed["equation"].replace("|", "\\|")  # within a table
+        left = f"{_number(proposed['base_held_out'])} | {_number(proposed['refit']['held_out'])}"
+        lines += ["", "| law | floors without it, left out | with it |", "|---|---|---|", f"| {form} | {left} |"]
+    return lines
 
 
 def _number(value: float) -> str:

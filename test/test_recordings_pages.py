@@ -28,3 +28,22 @@ def test_what_differs_between_recordings_is_read_from_the_next_command() -> None
 
 def test_numbers_are_written_without_powers_of_ten() -> None:
     assert [recordings._number(v) for v in (16599.28, 78.04, 0.021342)] == ["16,600", "78", "0.0213"]
+
+
+def figures(**more: object) -> dict[str, object]:
+    """Of a diagnosis that found nothing known."""
+    return {"commands": [], "verdict": "unknown", "sentence": "Something is missing.", "axes": {}, "given": [],
+            "refitted": [], "after": [], "evaluations": 1, **more}  # fmt: skip
+
+
+def test_the_page_says_what_the_law_says_where_one_is_proposed() -> None:
+    rig = recordings.RIGS["mx106_no_load"]
+    law = {"sentence": "What is missing depends on speed.", "equation": "C speed |speed|", "base_held_out": 12.34,
+           "refit": {"held_out": 1.5}}  # fmt: skip
+    page = recordings.page_text(figures(proposed_effect=law), rig)
+    assert "What is missing depends on speed." in page and "| C speed |speed| | 12.3 | 1.5 |" in page.replace(
+        "\\|", "|"
+    )
+    silent = recordings.page_text(figures(proposed_effect=law | {"refit": None, "base_held_out": None}), rig)
+    assert "What is missing depends on speed." in silent and "floors without it" not in silent
+    assert "depends on" not in recordings.page_text(figures(proposed_effect=None), rig)

@@ -17,7 +17,7 @@ from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
 from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, confirmed, propose
 from eps_tunnel_analysis.outputs import json_text, plain
 from eps_tunnel_analysis.report.law_section import law
-from eps_tunnel_analysis.report.page import render
+from eps_tunnel_analysis.report.page import Chart, render
 from eps_tunnel_analysis.sequence_file import load_sequence
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
@@ -127,6 +127,20 @@ def test_report_and_json_tell_variable_formula_and_what_is_left(proposal: Propos
     content = json.loads(json_text(plain(proposal.to_json())))
     assert content["file"] == "proposed_effect.py" and content["depends_on"][0]["named"] is True
     assert content["refit"]["held_out"] < content["base_held_out"]
+
+
+def test_the_force_is_drawn_over_every_variable_beside_the_models_own_and_with_what_is_left(proposal: Proposal) -> None:
+    charts = {b.label: b for b in law(proposal).blocks if isinstance(b, Chart)}
+    over = {"angle", "speed", "direction", "load", "command", "time since reversal", "time"}
+    assert {f"Missing force over {name}" for name in over} <= set(charts)
+    force, drive = charts["Missing force over load"].lines
+    assert force.spread is not None and drive.values.std() > force.values.std()
+    assert len(charts["pendulum: how trials differ, over their number"].x) == 3
+    curve = charts["What is missing over angle, without a formula"]
+    # Ten knots are too few for these waves, and the band says so.
+    assert curve.lines[0].spread is not None and (curve.lines[0].spread > 0.005).all()
+    before, after = charts["What is left over time"].lines
+    assert after.values.std() < 0.2 * before.values.std()
 
 
 def test_the_command_that_is_proposed_stays_within_the_limits_and_visits_what_was_not(

@@ -7,8 +7,12 @@ import pytest
 from eps_tunnel_analysis.diagnose.axis import diagnose_axis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions
 from eps_tunnel_analysis.law.added_force import Forces
+from eps_tunnel_analysis.law.depends import Depends
+from eps_tunnel_analysis.law.formula import Formula
 from eps_tunnel_analysis.law.missing_force import missing_force, missing_offset
-from eps_tunnel_analysis.law.proposal import NAME, also_missing, propose
+from eps_tunnel_analysis.law.proposal import NAME, Proposal, also_missing, propose
+from eps_tunnel_analysis.report.law_section import law
+from eps_tunnel_analysis.report.page import render
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.live import Live
@@ -88,6 +92,11 @@ def test_a_force_behind_a_belt_is_found_on_the_load_and_on_every_axis_that_lacks
     assert [(m.axis, m.side) for m in also] == [("x", "load")]
     also = also_missing(labyrinth, plays, PARTS, "x", {"x": behind.worst, "y": 9.0}, nthread=1)
     assert [(m.axis, m.side) for m in also] == [("x", "load"), ("y", "motor"), ("y", "load")]
+    nothing = Formula((), 0.0, (0.0, 0.0))
+    told = Proposal("x", "x", behind, Depends((), 0.0), nothing, also=also, offsets=(missing_offset(behind, 1),))
+    page = render("title", "subtitle", [law(told)])
+    assert "force on axis y, load&#39;s side" in page and "offset of board_x, were it alone to blame" in page
+    assert [m["side"] for m in told.to_json()["also"]] == ["load", "motor", "load"]
 
 
 def test_the_offset_that_a_sensor_lacks_is_found(labyrinth: Model) -> None:

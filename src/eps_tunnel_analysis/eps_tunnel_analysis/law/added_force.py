@@ -169,7 +169,7 @@ class Playing:
             self.model, (*self.free, self.forces.name), np.append(self.values, 1.0)[None], evidence.times(0),
             evidence.commands[0][None], evidence.initial[0],
             per_command=evidence.known, resting=evidence.resting[0],
-            signals=self.signals, timestep=evidence.step(0), nthread=1,
+            signals=self.signals, timestep=evidence.step(0), nthread=1, means=True,
         )  # fmt: skip
         seen = self.forces.recorded()[:count]
         angle, speed, load, drive, other = seen.T

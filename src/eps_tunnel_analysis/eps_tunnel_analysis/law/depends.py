@@ -182,6 +182,17 @@ class Predictor:
         return left, -np.linalg.solve(gram + ridge, right)
 
 
+def half_widths(design: Design, columns: Array) -> Array:
+    """(K,) half of the 90 % interval of columns' weights (R, K), fitted to everything beside the base values."""
+    every = np.hstack([design.base, columns])
+    gram = every.T @ every
+    ridge = np.diag(RIDGE * np.maximum(np.diag(gram), 1e-12 * max(float(np.diag(gram).max()), 1e-300)))
+    inverse = np.linalg.inv(gram + ridge)
+    left = design.y - every @ (inverse @ (every.T @ design.y))
+    spread = max(float(np.mean(left**2)), 1.0) * SETTINGS.correlated
+    return np.asarray(1.645 * np.sqrt(spread * np.diag(inverse))[design.base.shape[1] :])
+
+
 # ---- variables
 
 

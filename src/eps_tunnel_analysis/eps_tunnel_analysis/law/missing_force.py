@@ -195,6 +195,20 @@ def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
     return MissingOffset(missing.signals[number], unit, tuple(p.nodes for p in missing.plays), offsets, bands, floors)
 
 
+def trial_offsets(plays: Sequence[Play], signals: Sequence[str]) -> dict[str, Array]:
+    """Signal -> (p, 2) number of each trial, from 1, and by how much it differs from its play's others, in SI units."""
+    found = {}
+    for name in signals:
+        rows: list[tuple[int, float]] = []
+        for play in plays:
+            values = play.trials.values[:, :, play.trials.index(name)]
+            seen = np.isfinite(values).all(axis=0)
+            each = values[:, seen].mean(axis=1) if seen.any() else np.zeros(len(values))
+            rows += [(len(rows) + i + 1, float(mean)) for i, mean in enumerate(each - each.mean())]
+        found[name] = np.array(rows)
+    return found
+
+
 def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
     """(R, n) answer of samples at times (R,), in units of their scale, to what is linear between nodes."""
     after = np.clip(np.searchsorted(nodes, time), 1, len(nodes) - 1)

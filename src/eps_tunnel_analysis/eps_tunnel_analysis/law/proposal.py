@@ -21,10 +21,26 @@ from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.added_force import visited
-from eps_tunnel_analysis.law.depends import Depends, Design, Predictor, depends, knots_of, sensors, traced, variables
+from eps_tunnel_analysis.law.depends import (
+    Depends,
+    Design,
+    Predictor,
+    depends,
+    half_widths,
+    knots_of,
+    sensors,
+    traced,
+    variables,
+)
 from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, prefixes, seen_mark
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
-from eps_tunnel_analysis.law.missing_force import MissingForce, MissingOffset, missing_force, missing_offset
+from eps_tunnel_analysis.law.missing_force import (
+    MissingForce,
+    MissingOffset,
+    missing_force,
+    missing_offset,
+    trial_offsets,
+)
 from eps_tunnel_analysis.law.refit import floors_on, quick_bases, thorough_bases, worst_on
 from eps_tunnel_analysis.law.visit import Visit, visit
 from eps_tunnel_analysis.outputs import shown_number, shown_value
@@ -34,6 +50,7 @@ from labyrinth_sim.effect import Effect, effects, slide_unit
 from labyrinth_sim.model import Model, save_model
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.shown import shown
+from labyrinth_sim.trials import Array
 
 ROUNDS = 6
 ENOUGH = 2.0  # floors where left out: a formula that leaves no more needs no curve beside it
@@ -98,7 +115,8 @@ class Proposal:
         refit: in roll-outs; None where nothing is proposed.
         base_held_out: floors that the model leaves without it where left out.
         base: the model without it, refitted; `model` with the proposal added and fitted.
-        curve: what is missing over the variable named, as (variable, force) at ten places, without any formula.
+        curve: what is missing over the variable named, as (variable, force) at ten places, without any formula;
+            `curve_band`: half of the 90 % interval at each.
         visit: the command that shows it best, where something is named.
         confirmation: what another command says of it; None until one was played.
         tried: equation -> floors left where left out, of each set of terms that was refitted.
@@ -106,6 +124,8 @@ class Proposal:
             that the diagnosis found best; empty where nothing is proposed.
         also: what else lacks a force: the load's side of an elastic axis, other axes.
         offsets: what each sensor would be off by, were it alone to blame; where more than one sees the axis.
+        left: the force that is still missing beside what is proposed.
+        trials: signal -> (p, 2) number of each trial, by how much it differs from the others of its play.
     """
 
     axis: str
@@ -128,6 +148,9 @@ class Proposal:
     ranked: Mapping[str, float] = field(default_factory=dict)
     also: tuple[MissingForce, ...] = ()
     offsets: tuple[MissingOffset, ...] = ()
+    left: MissingForce | None = None
+    trials: Mapping[str, Array] = field(default_factory=dict)
+    curve_band: tuple[float, ...] = ()
 
     @property
     def probability(self) -> float:
@@ -198,6 +221,7 @@ class Proposal:
             "not_told_apart": [d.variable for d in self.depends.ties],
             "curve": [list(point) for point in self.curve],
             "visit": None if self.visit is None else f"{self.visit.name}.yaml",
+            "curve_band": list(self.curve_band),
             "curve_units": list(self.curve_units),
             "floors": list(self.missing.floors),
             "depends_on": [asdict(d) | {"period_unit": self.position_unit} for d in self.depends.dependences],
@@ -207,6 +231,9 @@ class Proposal:
             "ranked": dict(self.ranked),
             "also": [_missing_json(m) for m in self.also],
             "offsets": [o.to_json() for o in self.offsets],
+            "missing": _missing_json(self.missing),
+            "left": None if self.left is None else _missing_json(self.left),
+            "trials": {name: rows.tolist() for name, rows in self.trials.items()},
             "refit": refit,
             "base_held_out": self.base_held_out if self.refit else None,
         }
@@ -269,18 +296,22 @@ def propose(
     first, motions = found.first, [p.motion for p in design.plays]
     shows = visit(model, part.name, first or found.dependences[0], motions)
     offsets = tuple(missing_offset(missing, number) for number in sensors(design, positions))
+    trials = trial_offsets(plays, positions)
     if first is None:
-        return Proposal(part.name, part.name, missing, found, nothing, base=model, visit=shows, offsets=offsets)
+        return Proposal(part.name, part.name, missing, found, nothing, base=model, visit=shows, offsets=offsets,
+                        trials=trials)  # fmt: skip
     sensor = list(part.signals).index(first.place) if first.curve == "curve_sensor" else None
     terms = dictionary(design) if sensor is None else sensor_dictionary(design)
     laws = formulas(design, terms, sensor, seed)
     spans = visited(motions)
     spans["curve_sensor"] = spans["curve_angle"]
     chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (first.curve, first.place))
-    weights = Predictor(design).explained(chosen.columns(design), curve=True).weights
+    columns = chosen.columns(design)
+    weights = Predictor(design).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(first.curve, spans[first.curve]).tolist(), weights.tolist(), strict=True))
     bare = Proposal(part.name, first.place, missing, found, nothing, base=model, curve=table, visit=shows,
-                    offsets=offsets)  # fmt: skip
+                    offsets=offsets, trials=trials,
+                    curve_band=tuple(half_widths(design, columns).tolist()))  # fmt: skip
     run = SearchOptions((), nthread)
     tried: list[_Tried] = []
     for law in laws:
@@ -314,6 +345,7 @@ def propose(
         equation=_equation(law) if best.kind == "formula" else effects()[first.curve].equation,
         refit=best.refit, base_held_out=before.cost, model=best.model, depends=found, formula=law,
         ranked=_ranked(best, before, plays, len(terms), beside),
+        left=missing_force(best.model, plays, part, nthread, passes=1),
     )  # fmt: skip
 
 
