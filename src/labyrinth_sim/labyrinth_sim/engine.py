@@ -30,8 +30,9 @@ mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
 
 Columns = slice | NDArray[np.intp]
 LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
-LEAD_TIME = 0.01  # s, over which a drive's law sees by how much its target changes; the paper's sample
 CHECK_EVERY = 50  # samples between checks for simulations that diverged
+SPREAD = 2  # samples over which a delay may spread a step of a command
+WHOLE_STEP = 20  # power of a step's share of a sample with which what goes beyond a saturated drive's reach counts
 AT_ONCE = 1024  # MuJoCo steps of one uninterrupted stretch; bounds the memory of what is recorded
 RECORDED = {"position": "qpos", "velocity": "qvel", "torque": "qfrc_actuator"}
 BASE = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
@@ -220,8 +221,8 @@ class Engine:
         self.live = Live(self.batch, self.fields, tuple(sorted(touched)), sites, self._every_step)
         own = [(kind, local_values(values, prefix)) for kind, prefix, _ in plan.drives]
         self._gain = [kind.gain(v) if kind.gain else np.ones(nsim) for kind, v in own]
+        self._reach = [kind.reach(v) if kind.reach else None for kind, v in own]
         self._lead = [kind.lead(v) if kind.lead else None for kind, v in own]
-        self._window = max(LEAD_TIME, step)
         self._controllers: list[Controller | None] = [
             kind.controller(v, step) if kind.controller else None for kind, v in own
         ]
@@ -269,23 +270,53 @@ class Engine:
         """
         self.batch.bind("qpos")[...] = qpos
         self.batch.bind("qvel")[...] = qvel
-        window = np.full(self.nsim, self._window)
+        window = np.full(self.nsim, self.step)
         self._earlier = [Delay(window, self.step, target[:, i]) for i in range(len(self.plan.drives))]
         if (self._every_step or self.plan.with_ball) and not (self._laws and self._whole):
             self._run(lambda ids: self.batch.forward(ids))
 
-    def roll(self, targets: Array) -> Array:
+    def roll(self, targets: Array, means: bool = False) -> Array:
         """Rolls out all targets (nsim, T, u) rad, each held for a sample; NaN switches that axis's drive off.
+
+        Args:
+            means: they are means over each sample, of commands that may change within it.
 
         Returns:
             (nsim, T, m) signals at the start of each sample, before any sensor's effects; the ball's last. Efforts are
             those that act from then on.
         """
+        if means:
+            targets = self._within_reach(targets)
         if not self._whole:
             return self._stepped(targets)
         if self._laws is not None:
             return self._with_laws(self._laws, targets)
         return self._uninterrupted(targets)
+
+    def _within_reach(self, targets: Array) -> Array:
+        """Targets (nsim, T, u) that give a drive which saturates the torque that it has in the mean over a sample.
+
+        Where a command steps within a sample, the target is what was asked for in the mean. A small part of a large
+        step already asks for all that the drive gives, and would have it for the whole sample: so there the step counts
+        no further than the error at which the drive gives its most. Samples that hold all of the step stay as they are.
+        """
+        found = targets
+        for i, reach in enumerate(self._reach):
+            own = targets[:, :, i]
+            if reach is None or own.shape[1] <= 2 * SPREAD:
+                continue
+            before, after = own[:, : -2 * SPREAD], own[:, 2 * SPREAD :]
+            change, middle = after - before, own[:, SPREAD:-SPREAD]
+            with np.errstate(invalid="ignore"):
+                far = np.abs(change) > reach[:, None]
+            if not far.any():
+                continue
+            found = targets.copy() if found is targets else found
+            share = (middle - before)[far] / change[far]
+            most = (np.sign(change) * reach[:, None])[far]
+            kept = before[far] + share * most + share**WHOLE_STEP * (change[far] - most)
+            found[:, SPREAD:-SPREAD, i][far] = np.where((share >= 0.0) & (share <= 1.0), kept, middle[far])
+        return found
 
     def _stepped(self, targets: Array) -> Array:
         samples = targets.shape[1]
@@ -387,10 +418,10 @@ class Engine:
         """(nsim, K) controls of a drive for its next targets (nsim, K), without what depends on the angle."""
         control = self._gain[channel][:, None] * targets
         lead = self._lead[channel]
-        if lead is None or not lead.any():
+        if lead is None:
             return control
         change = np.nan_to_num(targets - self._earlier[channel](targets, targets))
-        return control + (LEAD_TIME / self._window) * lead[:, None] * change
+        return control + lead(change) / self.step
 
     def advance(self, target: Array, seen: Array | None = None) -> None:
         """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off.

@@ -117,6 +117,7 @@ def simulate_batch(
     nthread: int = 0,
     progress: Callable[[int], None] | None = None,
     extrapolate: bool = False,
+    means: bool = False,
 ) -> BatchResult:
     """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
 
@@ -137,6 +138,7 @@ def simulate_batch(
         progress: called with the number of finished simulations.
         extrapolate: also step half as far, and extrapolate the motion to steps of no length (Richardson 1911): what
             MuJoCo's steps get wrong is of first order.
+        means: the commands are means over each sample, of commands that may change within it.
 
     Raises:
         InputError: everything that is wrong with the arguments.
@@ -176,7 +178,7 @@ def simulate_batch(
         start = {name: given[alone] for name, given in first.items()}
         engines = [Engine(model, each, own, len(alone), step, nthread) for each in here]
         rolled = [
-            _roll_out(model, *pair, own, step, block[owner], start, holds[owner])
+            _roll_out(model, *pair, own, step, block[owner], start, holds[owner], means)
             for pair in zip(here, engines, strict=True)
         ]
         raw = (2.0 * rolled[1] - rolled[0] if extrapolate else rolled[0])[shared]
@@ -231,12 +233,13 @@ def _roll_out(
     commands: Array,
     first: Mapping[str, Array],
     resting: NDArray[np.bool_],
+    means: bool,
 ) -> Array:
     qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
     start = rest_targets(plan, qpos, commands[:, 0], resting)
     engine.start(qpos, qvel, start)
     targets = through(command_filters(plan, numbers, step, start), commands)
-    return engine.roll(targets)
+    return engine.roll(targets, means)
 
 
 def rest_targets(plan: Plan, qpos: Array, first: Array, resting: NDArray[np.bool_] | bool = False) -> Array:

@@ -237,3 +237,21 @@ def test_a_drive_that_rests_under_its_first_command_carries_its_load_from_the_st
 def test_a_word_on_rest_is_one_for_each_command_and_axis(model: Model, commands: np.ndarray) -> None:
     with pytest.raises(InputError, match=r"resting must have shape \(1, 2\), got \(1, 1\)"):
         simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None], resting=[[True]])
+
+
+def test_a_step_within_a_sample_counts_as_long_as_it_acts_though_the_drive_saturates() -> None:
+    """Delays of parts of a sample: a coarse roll-out goes where a fine one does, and not by whole samples."""
+    given = load_model("pendulum").with_values({"drive.pendulum.kp": 4000.0})
+    delays = np.arange(0.010, 0.015, 0.0005)[:, None]
+    step, fine = 0.005, 0.0005
+
+    def moved(every: float, means: bool) -> np.ndarray:
+        time = np.arange(round(0.4 / every) + 1) * every
+        sent = np.where(time >= 0.05 - 1e-9, 1.0, 0.0)[None, :, None]
+        found = simulate_batch(given, ["drive.pendulum.delay"], delays, time, sent, timestep=fine, means=means)
+        return found.values[:, 0, :: round(step / every), 0]
+
+    exact = moved(fine, False)
+    off = [float(np.abs(moved(step, means) - exact).max()) for means in (True, False)]
+    assert off[0] < 0.005 < 0.15 * off[1]
+    assert np.array_equal(moved(step, True)[0], moved(step, False)[0])  # here every sample holds all of a command

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined
+from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
 from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.simulated import Play
@@ -22,6 +23,7 @@ NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
 BASE_ROUNDS = 8  # of each descent
 COMPARED_ROUNDS = 3  # of the finalists, before they are compared
 VALLEY_POINTS = 8  # to either side of the best, along what it determines least
+AGAIN = 3  # descents more at most, while the last one helped
 BASE_FINALISTS = 3  # of the starts, descended to the end
 
 
@@ -125,6 +127,13 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     best_of_all = min(last, key=lambda r: r.objective)
     search.refine_at(best_of_all.values)
     result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
+    for _ in range(AGAIN):
+        if worst_floors(result.residuals, search.signal) < 1.0:
+            break
+        before, result = result, search.judged([((), result.values)], BASE_ROUNDS)[0]
+        if result.objective > before.objective - STANDS * before.objective:
+            result = min(before, result, key=lambda r: r.objective)
+            break
     search.settle_at(result)
     return result
 
