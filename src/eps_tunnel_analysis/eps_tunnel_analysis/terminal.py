@@ -30,6 +30,7 @@ SMALL = 0.001  # probability below which a hypothesis is not listed
 LINE_EVERY = 0.2  # s between two lines of progress
 SPEAK_EVERY = 15.0  # s between two lines of progress where there is no terminal
 ITSELF = "rig against itself"
+LISTED = 10  # recordings of a fit
 
 
 def console(stderr: bool = False) -> Console:
@@ -119,6 +120,22 @@ def print_calibration(result: "CalibrationResult", notes: Sequence[str], out: Co
         )
     _print_scores(out, KS, "Fitted commands", result.before, result.after, result.itself)
     _print_scores(out, KS, "Held-out commands", result.held_out_before, result.held_out_after, result.held_out_itself)
+    if len(result.plays) > 1:
+        by_play = [
+            (
+                p.name,
+                "held out" if p.held_out else "fitted",
+                shown_value(p.before, p.unit),
+                shown_value(p.after, p.unit),
+                f"{p.change - 1:+.0%}",
+            )
+            for p in result.plays[:LISTED]
+        ]
+        count = len(result.plays)
+        some = f", those that fared worst, {LISTED} of {count}" if count > LISTED else ""
+        table(
+            out, f"Error of each recording{some}", ("recording", "", "E before", "E after", "change"), by_play, left=2
+        )
     for text in result.warnings:
         out.print(f"Warning: {text}", soft_wrap=True, markup=False)
     print_notes(out, notes)

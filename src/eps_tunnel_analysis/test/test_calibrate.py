@@ -89,6 +89,24 @@ def test_a_fits_tables_have_the_rig_against_itself_below_each_signal() -> None:
         assert [part.strip() for part in row.split("|")[4:-1]] == [shown_share(v) for v in itself["motor_x"].values()]
 
 
+def test_a_recording_that_a_fit_made_worse_is_told_though_the_mean_fell() -> None:
+    """The one held out was made by other values, which the start has already."""
+    odd = {**TRUTH, "drive.x.p": 12.0}
+    several = [*plays((-3.0, 2.0, 4.0)), *plays((5.0,), odd)]
+    settings = Settings(signals=SIGNALS, held_out=(3,), budget=60)
+    result = calibrate_model(start().with_values(odd), several, ("drive.x.p",), settings)
+    worst, *others = result.plays
+    assert (worst.name, worst.held_out, worst.unit) == ("+5deg", True, "rad")
+    assert {p.name for p in others} == {"-3deg", "+2deg", "+4deg"} and all(p.change < 0.2 for p in others)
+    for model, error in ((start().with_values(odd), worst.before), (result.model, worst.after)):
+        assert judge(model, several[3:], SIGNALS)[0].error == pytest.approx(error)
+    assert result.warnings[0].startswith("Worse than before on 1 of 4 recordings: +5deg (held out), ")
+    printed = text_of(lambda out: print_calibration(result, (), out), width=160)
+    assert "Error of each recording" in printed and "Warning: Worse than before" in printed
+    steady = calibrate_model(start(), several[:3], ("drive.x.p",), replace(settings, held_out=()))
+    assert not any("Worse" in text for text in steady.warnings)
+
+
 def test_what_is_free_by_default_is_what_the_drives_and_effects_say() -> None:
     model = start().with_effect("backlash", "y")
     names = default_free(model)

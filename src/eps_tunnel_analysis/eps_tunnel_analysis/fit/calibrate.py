@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.alikeness import KS, rig_against_itself
 from eps_tunnel_analysis.compare import compare
+from eps_tunnel_analysis.fit.agreement import differing
 from eps_tunnel_analysis.fit.differences import jacobian, moved
 from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy
 from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, FitProgress, Improvement, Journal
@@ -36,7 +37,7 @@ from eps_tunnel_analysis.fit.problem import (
     by_axis,
 )
 from eps_tunnel_analysis.fit.start_pose import start_pose_deviation
-from eps_tunnel_analysis.outputs import plain
+from eps_tunnel_analysis.outputs import plain, shown_value
 from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
@@ -47,6 +48,8 @@ INTERVAL_STEP = 1e-4  # of the finite differences for the intervals, normalised
 NEGLIGIBLE_STEP = 1e-4  # normalised; a promise this close by is no promise
 PROMISED_GAIN = 0.05  # of the squared residuals; less counts as converged
 FITNESS = ("error", "srg")
+WORSE = 1.02  # times the error before; a recording beyond it is told
+LISTED = 3  # recordings that got worse
 
 
 @dataclass(frozen=True)
@@ -147,27 +150,37 @@ def judge(
     Raises:
         InputError: unknown signals, or commands that the rig needs are missing.
     """
+    return _judged(model, plays, signals, ks, timestep)[0]
+
+
+def _judged(
+    model: Model, plays: Sequence[Play], signals: Iterable[str] | None, ks: Sequence[float], timestep: float | None
+) -> "_Judged":
     names = compared_signals(model, [play.trials for play in plays], signals)
-    errors = np.zeros(len(names))
+    errors = np.full((len(plays), len(names)), np.inf)
     alike, seen = np.zeros((len(ks), len(names))), np.zeros((len(ks), len(names)))
-    for play in plays:
+    for number, play in enumerate(plays):
         real = play.trials.select(names)
         try:
             result = compare(real, roll_out(model, play, timestep), ks, signals=names)
         except Diverged:
-            errors += np.inf
             seen += (~np.isnan(real.values)).any(axis=0).sum(axis=0)
             continue
-        errors += [e.command_error for e in result.errors]
+        errors[number] = [e.command_error for e in result.errors]
         alike += [a.alike.sum(axis=0) for a in result.alikeness]
         seen += [a.seen.sum(axis=0) for a in result.alikeness]
     units = dict(zip(model.rig.signals, model.rig.units, strict=True))
     shares = alike / np.maximum(seen, 1)  # (k, m)
     by_k = [dict(zip(sorted(ks), column, strict=True)) for column in shares.T.tolist()]
-    return tuple(
+    scores = tuple(
         Score(name, units[name], float(error) / len(plays), share)
-        for name, error, share in zip(names, errors, by_k, strict=True)
+        for name, error, share in zip(names, errors.sum(axis=0), by_k, strict=True)
     )
+    return scores, errors
+
+
+_Judged = tuple[tuple[Score, ...], Array]
+"""The scores over all plays, and the errors (c, m) of each."""
 
 
 def judge_rig(
@@ -299,10 +312,11 @@ def calibrate(
             at = objective, fitted, problem, evaluations.best, residuals, slopes
             lacking = discrepancy(*at)
             found = widened(found, np.hypot(lacking.deviation, start_pose_deviation(*at)))
+            apart = differing(*at, lacking.deviation)
         except KeyboardInterrupt:  # again: whoever waits wants the values, not how sure they are
             interrupted = True
             residuals, slopes, found = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
-            lacking = Discrepancy(np.empty((0, problem.size)))
+            lacking, apart = Discrepancy(np.empty((0, problem.size))), ()
     finally:
         if journal:
             journal.close()
@@ -342,6 +356,7 @@ def calibrate(
         warnings=(
             *_warnings(problem, at_bound, found, gain, interrupted),
             *_doubts(found, lacking, values, span, problem),
+            *(one.sentence for one in apart),
         ),
         about=settings.about,
     )
@@ -428,6 +443,27 @@ def _doubts(found: Intervals, lacking: Discrepancy, values: Array, span: Array, 
 Bars = Callable[[Part, int], FitProgress]
 
 
+@dataclass(frozen=True)
+class PlayChange:
+    """One recording before and after a fit.
+
+    Attributes:
+        name: of the play; held_out: whether it was kept from the fit.
+        before, after: E_C, mean over the signals of the first one's unit, in `unit`.
+    """
+
+    name: str
+    held_out: bool
+    before: float
+    after: float
+    unit: str
+
+    @property
+    def change(self) -> float:
+        """Error after the fit over that before it; 1 where there was none."""
+        return self.after / self.before if 0.0 < self.before < np.inf else 1.0
+
+
 @shown
 @dataclass(frozen=True)
 class CalibrationResult:
@@ -437,6 +473,7 @@ class CalibrationResult:
     before, after: scores on the fitted plays, signal by signal.
     held_out_before, held_out_after: on those held out; empty where none were.
     itself, held_out_itself: what the rig reaches against itself on the same plays, as of `judge_rig`.
+    plays: each recording, the one that fared worst first.
     """
 
     model: Model
@@ -448,6 +485,7 @@ class CalibrationResult:
     held_out_after: tuple[Score, ...]
     itself: Mapping[str, Mapping[float, float]]
     held_out_itself: Mapping[str, Mapping[float, float]]
+    plays: tuple[PlayChange, ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -460,11 +498,32 @@ class CalibrationResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return tuple(text for fit in self.fits for text in fit.warnings)
+        return (*_worse(self.plays), *(text for fit in self.fits for text in fit.warnings))
 
     def signed(self, source: str, provenance: Mapping[str, Any]) -> Model:
         """The model with `source` at each fitted value, and `provenance`."""
         return replace(self.model.with_values(self.values, source), provenance=dict(provenance))
+
+
+def _changes(plays: Sequence[Play], held_out: bool, before: _Judged, after: _Judged) -> list[PlayChange]:
+    """Of plays that were judged before and after, mean over the signals of the first one's unit."""
+    scores, then = before
+    unit = scores[0].unit
+    same = [score.unit == unit for score in scores]
+    rows = zip(plays, then[:, same], after[1][:, same], strict=True)
+    return [PlayChange(p.name, held_out, float(np.nanmean(b)), float(np.nanmean(a)), unit) for p, b, a in rows]
+
+
+def _worse(plays: Sequence[PlayChange]) -> list[str]:
+    """What a mean over the recordings hides: those that a fit made worse."""
+    worse = [play for play in plays if play.change > WORSE]
+    told = [
+        f"{p.name} ({'held out' if p.held_out else 'fitted'}), {shown_value(p.before, p.unit)} before, "
+        f"{shown_value(p.after, p.unit)} after"
+        for p in worse[:LISTED]
+    ]
+    more = f"; {len(worse) - LISTED} more" if len(worse) > LISTED else ""
+    return [f"Worse than before on {len(worse)} of {len(plays)} recordings: {'; '.join(told)}{more}."] if worse else []
 
 
 def calibrate_model(
@@ -510,13 +569,15 @@ def calibrate_model(
             break
     seen = [play for number, play in enumerate(plays) if number not in settings.held_out]
     unseen = [play for number, play in enumerate(plays) if number in settings.held_out]
-    scores = [
-        judge(which, some, settings.signals, timestep=settings.timestep) if some else ()
-        for some in (seen, unseen)
-        for which in (model, fitted)
-    ]
+    scores: list[tuple[Score, ...]] = []
+    changes: list[PlayChange] = []
+    for some, kept in ((seen, False), (unseen, True)):
+        judged = [_judged(m, some, settings.signals, KS, settings.timestep) for m in (model, fitted) if some]
+        scores += [score for score, _ in judged] or [(), ()]
+        changes += _changes(some, kept, *judged) if some else []
     itself, held_itself = (judge_rig(model, some, settings.signals) if some else {} for some in (seen, unseen))
     before, after, held_before, held_after = scores
     return CalibrationResult(
-        fitted, tuple(parts[: len(fits)]), tuple(fits), before, after, held_before, held_after, itself, held_itself
-    )
+        fitted, tuple(parts[: len(fits)]), tuple(fits), before, after, held_before, held_after, itself, held_itself,
+        tuple(sorted(changes, key=lambda change: -change.change)),
+    )  # fmt: skip

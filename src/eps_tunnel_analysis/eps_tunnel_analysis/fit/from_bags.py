@@ -160,6 +160,7 @@ def content_of(
             which: [_score(score) for score in getattr(result, which)]
             for which in ("before", "after", "held_out_before", "held_out_after")
         },
+        "recordings": [asdict(change) for change in result.plays],
         "warnings": list(result.warnings),
         "notes": list(notes),
     }
