@@ -10,7 +10,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
-from ten_diagnoses import SEED, seconds_of_diagnosis
+from ten_diagnoses import SEED, seconds_of_diagnosis, timed_diagnosis
 from testbed_cases import draw, play, rig
 
 from eps_tunnel_analysis.sequence_file import find_sequence
@@ -28,17 +28,23 @@ NOISE = 2e-4
 AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
 LINK = 0.2
 """m"""
+HIDDEN = "coulomb_friction.a1"
 
 
 def measure() -> dict[str, float]:
-    """`six_joint_diagnosis`."""
+    """`six_joint_diagnosis`, and `six_joint_named`: 1 where the friction is named and nothing beside it."""
     command = find_sequence("excite_12s").commands[0]
     labyrinth = play(rig((hide("gravity_load", "y"),)), command, SEED)
     with tempfile.TemporaryDirectory() as folder:
         model = arm(Path(folder))
-        six = seconds_of_diagnosis(model, motion(model))
+        six, named = timed_diagnosis(model, motion(model))
     one = seconds_of_diagnosis(draw(SEED)[2], labyrinth)
-    return {"six_joint_diagnosis": six / one, "six_joint_seconds": six, "six_joint_labyrinth_seconds": one}
+    return {
+        "six_joint_diagnosis": six / one,
+        "six_joint_named": float(named == (HIDDEN,)),
+        "six_joint_seconds": six,
+        "six_joint_labyrinth_seconds": one,
+    }
 
 
 def arm(folder: Path, joints: int = JOINTS) -> Model:
@@ -84,7 +90,7 @@ def motion(model: Model, seconds: float = SECONDS) -> Play:
     waves = 0.3 * np.sin(2 * np.pi * (0.2 + 0.05 * phases) * time[:, None])
     commands = waves + 0.15 * np.sign(np.sin(2 * np.pi * (0.11 + 0.02 * phases) * time[:, None]))
     commands[time < 0.3] = 0.0
-    rubbing = model.with_effect("coulomb_friction", model.rig.axes[1].name)
+    rubbing = model.with_effect(*HIDDEN.split("."))
     run = simulate(rubbing, time, commands)
     noise = np.random.default_rng(0).standard_normal((TRIALS, *run.values.shape[1:]))
     sizes = np.where([unit == "rad" for unit in run.units], NOISE, 0.0)

@@ -64,9 +64,15 @@ def measure() -> dict[str, float]:
 
 
 def seconds_of_diagnosis(model: Model, recorded: Play) -> float:
+    return timed_diagnosis(model, recorded)[0]
+
+
+def timed_diagnosis(model: Model, recorded: Play, only: tuple[str, ...] | None = None) -> tuple[float, tuple[str, ...]]:
+    """Seconds of a diagnosis by the whole library, or by some of it, and the effects that it names."""
     started = time.perf_counter()
-    diagnose(model, [recorded], experiments=False)
-    return time.perf_counter() - started
+    found = diagnose(model, [recorded], only=only, experiments=False)
+    named = found.verdict.effects if found.verdict.verdict == "effect" else ()
+    return time.perf_counter() - started, named
 
 
 def seconds_of_loop(program: Path, model: Model, recorded: Play, folder: Path) -> float:

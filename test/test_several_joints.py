@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An arm whose joints shake one another: friction in one of them is named, and nothing beside it."""
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks" / "sections"))
+
+from six_joints import HIDDEN, JOINTS, arm, motion
+from ten_diagnoses import timed_diagnosis
+
+from labyrinth_sim.build import COUPLED, coupled_axes
+from labyrinth_sim.model import load_model
+
+
+def test_friction_in_one_joint_of_an_arm_is_named(tmp_path: Path) -> None:
+    """Three joints; six take minutes, which the benchmark takes."""
+    model = arm(tmp_path, 3)
+    assert coupled_axes(model) == [("a0",), ("a1", "a2")]
+    _, named = timed_diagnosis(model, motion(model, 3.0), ("coulomb_friction", "gravity_load"))
+    assert named == (HIDDEN,)
+
+
+def test_only_axes_that_share_a_hundredth_of_their_inertia_are_taken_together(tmp_path: Path) -> None:
+    assert coupled_axes(load_model("two_link_arm")) == [("shoulder", "elbow")]
+    arm(tmp_path, JOINTS)
+    file = tmp_path / "arm.xml"
+    text, last = file.read_text(), 'name="joint_5" axis="1 0 0" armature='
+    assert text.count(f'{last}"0.02"') == 1
+    for armature, alone in (("2.0", False), ("50.0", True)):  # of its own gear, which the others do not feel
+        file.write_text(text.replace(f'{last}"0.02"', f'{last}"{armature}"'))
+        share = shared(file)
+        assert 0.001 < share < COUPLED if alone else share > COUPLED
+        groups = coupled_axes(load_model(tmp_path / "model.yaml"))
+        assert groups == ([("a0", "a1", "a2", "a3", "a4"), ("a5",)] if alone else [tuple(f"a{i}" for i in range(6))])
+
+
+def shared(file: Path) -> float:
+    """Largest share of the last joint's inertia with another's, with the arm stretched out."""
+    mj = mujoco.MjModel.from_xml_path(str(file))
+    data, whole = mujoco.MjData(mj), np.zeros((mj.nv, mj.nv))
+    mujoco.mj_forward(mj, data)
+    mujoco.mj_fullM(mj, data, whole)
+    own = np.sqrt(np.diag(whole))
+    return float(np.abs(whole[-1, :-1] / own[-1] / own[:-1]).max())
