@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import law
 from drawn_rigs.cases import draw
+from drawn_rigs.reading import Dependence
 from law import figures
 
 
@@ -30,6 +31,13 @@ def test_a_variable_is_right_wrong_or_not_said():
     assert (found["variable_right"], found["variable_right_n"]) == (pytest.approx(1 / 4), 4)
     assert (found["variable_right_shown"], found["variable_right_shown_n"]) == (pytest.approx(1 / 3), 3)
     assert found["variable_among_shown"] == pytest.approx(2 / 3)
+
+
+def test_a_command_is_no_angle_and_a_pair_is_neither_of_the_two():
+    known = ("x", 0.9, (0.8, 1.0), 0.1, True)
+    named = [law._named(Dependence(name, "curve_angle", *known, pair=" and " in name))
+             for name in ("angle", "command", "angle and speed")]  # fmt: skip
+    assert named == ["curve_angle", "command", "pair"]
 
 
 def test_half_of_the_true_form_is_counted_on_the_other_command():
@@ -64,7 +72,9 @@ def test_a_case_is_the_same_with_another_command_and_the_effect_can_be_chosen(tm
 def test_the_file_has_each_key_at_its_top_with_count_and_interval(tmp_path, monkeypatch):
     records = [case(period=0.3) | {"seed": 100_000, "seconds": 1.0, "proposals": []}]
     monkeypatch.setattr(law, "judged", lambda seeds, given: iter(records))
-    monkeypatch.setattr(sys, "argv", ["law.py", "--cases", "1", "--seed", "100000", "--json", str(tmp_path / "out.json")])
+    monkeypatch.setattr(
+        sys, "argv", ["law.py", "--cases", "1", "--seed", "100000", "--json", str(tmp_path / "out.json")]
+    )
     law.main()
     content = json.loads((tmp_path / "out.json").read_text())
     for key in ("variable_right", "half_of_true_form", "healthy_silent", "period_error"):
