@@ -207,15 +207,18 @@ def main() -> None:
     }
     started = time.monotonic()
     records: dict[str, list[Record]] = {name: [] for name in jobs}
+    # All kinds side by side, so that a run that is stopped says something of each.
+    order = sorted((at / len(todo), name, at) for name, (_, todo) in jobs.items() for at in range(len(todo)))
     with ProcessPoolExecutor(given.workers, multiprocessing.get_context("spawn")) as pool:
-        for name, (judge, todo) in jobs.items():
-            for record in pool.map(judge, todo):
-                records[name].append(record)
-                found = figures(records)
-                if given.json:
-                    content = {"seed": given.seed, "quick": given.quick, "figures": flat(found), "cases": records}
-                    given.json.write_text(json.dumps({**flat(found), **content}, indent=1) + "\n", encoding="utf-8")
-            print(f"{name}: {len(todo)} rigs, {time.monotonic() - started:.0f} s", flush=True)
+        waiting = [(name, pool.submit(jobs[name][0], jobs[name][1][at])) for _, name, at in order]
+        for name, one in waiting:
+            records[name].append(one.result())
+            if given.json:
+                found = flat(figures(records))
+                content = {"seed": given.seed, "quick": given.quick, "figures": found, "cases": records}
+                given.json.write_text(json.dumps({**found, **content}, indent=1) + "\n", encoding="utf-8")
+    counts = ", ".join(f"{len(todo)} {name}" for name, (_, todo) in jobs.items() if todo)
+    print(f"Rigs: {counts}; {time.monotonic() - started:.0f} s", flush=True)
     for key, figure in figures(records).items():
         value = "-" if figure.value is None else f"{figure.value:.3f}"
         interval = "" if figure.interval is None else f"{figure.interval[0]:.3f} to {figure.interval[1]:.3f}"

@@ -46,11 +46,13 @@ class StampedTrial:
         seconds: length of the trial.
         commands: channel -> what was commanded; each value holds until the next.
         signals: name -> what was measured; unseen samples are left out.
+        bag: the recording that it is from; "" where that is unknown.
     """
 
     seconds: float
     commands: Mapping[str, Series]
     signals: Mapping[str, Series]
+    bag: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "commands", MappingProxyType(dict(self.commands)))
@@ -59,7 +61,8 @@ class StampedTrial:
     def shifted(self, late: float) -> "StampedTrial":
         """The same trial on a clock that starts `late` s later."""
         move = {n: Series(s.time - late, s.values) for n, s in self.commands.items()}
-        return StampedTrial(self.seconds, move, {n: Series(s.time - late, s.values) for n, s in self.signals.items()})
+        seen = {n: Series(s.time - late, s.values) for n, s in self.signals.items()}
+        return StampedTrial(self.seconds, move, seen, self.bag)
 
 
 def stamped_from_grid(trials: Trials) -> tuple[StampedTrial, ...]:

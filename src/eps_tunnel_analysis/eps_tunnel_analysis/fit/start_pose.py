@@ -2,7 +2,7 @@
 """What the noise of the pose in which a roll-out starts does to fitted values, to first order."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,19 +26,25 @@ def start_pose_deviation(
     if not np.isfinite(slopes).all():
         return total
     inverse = np.linalg.pinv(slopes)
-    values = problem.from_unit(z)[None]
-    runs = objective.rollouts
     of_play = objective.blocks // len(objective.signals)
-    for signal, start in runs.initial.items():
-        noise = np.array([_noise_of_mean(play, signal) for play in plays])
-        if not noise.any():
-            continue
-        moved = copy.copy(objective)
-        moved.rollouts = replace(runs, initial={**runs.initial, signal: start + noise[runs.play]})
-        change = np.nan_to_num(problem.fitness.scaled(moved(values))[0] - residuals)
+    for change in start_changes(objective, plays, problem, z, residuals):
         for number in range(len(plays)):
             total += (inverse @ np.where(of_play == number, change, 0.0)) ** 2
     return np.sqrt(total)
+
+
+def start_changes(
+    objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array
+) -> Iterator[Array]:
+    """For each position (R,) by how much residuals change as every play starts elsewhere, by the noise of its mean."""
+    values = problem.from_unit(z)[None]
+    runs = objective.rollouts
+    for signal, start in runs.initial.items():
+        noise = np.array([_noise_of_mean(play, signal) for play in plays])
+        if noise.any():
+            moved = copy.copy(objective)
+            moved.rollouts = replace(runs, initial={**runs.initial, signal: start + noise[runs.play]})
+            yield np.nan_to_num(problem.fitness.scaled(moved(values))[0] - residuals)
 
 
 def _noise_of_mean(play: Play, signal: str) -> float:

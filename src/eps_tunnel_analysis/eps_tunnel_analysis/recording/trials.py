@@ -467,7 +467,8 @@ def stamped_trial(span: RecordedTrial, max_hold: float | None) -> StampedTrial:
     commands = {
         source.name: _switched_off(series_of(source, True), seconds, max_hold) for source in span.channels.commands
     }
-    return StampedTrial(seconds, commands, {source.name: series_of(source, False) for source in span.channels.signals})
+    signals = {source.name: series_of(source, False) for source in span.channels.signals}
+    return StampedTrial(seconds, commands, signals, str(span.recording.path))
 
 
 def _switched_off(commands: Series, seconds: float, max_hold: float | None) -> Series:
