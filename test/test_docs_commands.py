@@ -6,6 +6,8 @@
 
 import io
 import itertools
+import json
+import math
 import os
 import re
 import shlex
@@ -225,6 +227,20 @@ def test_every_command_of_a_how_to_page_works(page: str, tmp_path: Path) -> None
     with followed(tmp_path, environment_of(tmp_path)) as follower:
         for block in blocks(page):
             follower.follow(block)
+    if page == "docs/howto/cogging.md":
+        the_law_holds_on_another_command(tmp_path)
+
+
+def the_law_holds_on_another_command(folder: Path) -> None:
+    """What the page's last comparison leaves, against the same model without the law."""
+    line = "eps-tunnel compare --real study/other --model labyrinth --out gap-without"
+    run(line, folder, environment_of(folder))
+    error = {}
+    for name in ("gap-without", "gap-after"):
+        content = json.loads((folder / name / "compare.json").read_text(encoding="utf-8"))
+        error[name] = next(e for e in content["errors"] if e["signal"] == "board_x")["command_error"]
+    assert math.degrees(error["gap-without"]) > 0.2
+    assert error["gap-after"] < 0.1 * error["gap-without"] and math.degrees(error["gap-after"]) < 0.02
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", *HOWTO])
