@@ -32,6 +32,7 @@ Columns = slice | NDArray[np.intp]
 LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
 CHECK_EVERY = 50  # samples between checks for simulations that diverged
 SPREAD = 2  # samples over which a delay may spread a step of a command
+FAR = 2.0  # times what saturates a drive, beyond which a step counts so, in full from this times that on
 WHOLE_STEP = 20  # power of a step's share of a sample with which what goes beyond a saturated drive's reach counts
 AT_ONCE = 1024  # MuJoCo steps of one uninterrupted stretch; bounds the memory of what is recorded
 RECORDED = {"position": "qpos", "velocity": "qvel", "torque": "qfrc_actuator"}
@@ -298,7 +299,8 @@ class Engine:
 
         Where a command steps within a sample, the target is what was asked for in the mean. A small part of a large
         step already asks for all that the drive gives, and would have it for the whole sample: so there the step counts
-        no further than the error at which the drive gives its most. Samples that hold all of the step stay as they are.
+        no further than the error at which the drive gives its most. Samples that hold all of the step stay as they are,
+        and so do small steps, by which a drive is soon up to speed.
         """
         found = targets
         for i, reach in enumerate(self._reach):
@@ -308,14 +310,16 @@ class Engine:
             before, after = own[:, : -2 * SPREAD], own[:, 2 * SPREAD :]
             change, middle = after - before, own[:, SPREAD:-SPREAD]
             with np.errstate(invalid="ignore"):
-                far = np.abs(change) > reach[:, None]
+                far = np.abs(change) > FAR * reach[:, None]
             if not far.any():
                 continue
             found = targets.copy() if found is targets else found
             share = (middle - before)[far] / change[far]
             most = (np.sign(change) * reach[:, None])[far]
             kept = before[far] + share * most + share**WHOLE_STEP * (change[far] - most)
-            found[:, SPREAD:-SPREAD, i][far] = np.where((share >= 0.0) & (share <= 1.0), kept, middle[far])
+            how_far = np.minimum(np.log(change[far] / (FAR * most)) / np.log(FAR), 1.0)
+            partly = np.where((share >= 0.0) & (share <= 1.0), how_far, 0.0)
+            found[:, SPREAD:-SPREAD, i][far] += partly * (kept - middle[far])
         return found
 
     def _stepped(self, targets: Array) -> Array:
