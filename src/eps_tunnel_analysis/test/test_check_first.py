@@ -41,6 +41,11 @@ def section(report: Path) -> str:
     return unescape(found[1])
 
 
+def alike(report: Path) -> set[str]:
+    """What the staircase of error says of alikeness."""
+    return set(re.findall('<td data-label="alike, k = 1" class="number">(.*?)</td>', report.read_text()))
+
+
 def opens(report: Path) -> bool:
     return titles(report)[:2] == ["At a glance", "What the recordings can tell"]
 
@@ -70,6 +75,7 @@ def test_the_shared_path_of_page_node_and_loop_has_the_same_check(
     options = DiagnosisOptions(("coulomb_friction",), threads=1)
     reason = diagnose_bags(str(file), bags, tmp_path / "why", options)
     assert opens(reason.report) and EXCITES in section(reason.report)
+    assert all(cell.endswith(" %") for cell in alike(reason.report))
     assert reason.content["check"]["excited"]
     study = eps.load(bags, file, candidates=["coulomb_friction"], threads=1)
     assert EXCITES in section(study.diagnose(progress=False).save(tmp_path / "study"))
@@ -82,6 +88,7 @@ def test_a_value_below_its_bounds_is_checked_and_diagnosed(tmp_path: Path) -> No
     options = DiagnosisOptions(("coulomb_friction",), threads=1)
     reason = diagnose_bags(str(file), [bag], tmp_path / "why", options)
     assert "identifiable" in section(reason.report)
+    assert alike(reason.report) == {"–"}, "the tunnel of one trial has no width"
 
 
 def test_a_comparison_opens_with_what_the_recordings_are_like(made: tuple[Path, list[Path]], tmp_path: Path) -> None:

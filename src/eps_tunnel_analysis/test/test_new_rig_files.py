@@ -15,7 +15,7 @@ from eps_tunnel_analysis.new_rig.tables import csv_bags
 from eps_tunnel_analysis.new_rig.write import NewRig, new_rig
 from eps_tunnel_analysis.recording import read_all
 from labyrinth_sim.errors import InputError
-from labyrinth_sim.model import load_model
+from labyrinth_sim.model import load_model, save_model
 from labyrinth_sim.simulate import simulate
 
 STEP = 0.01
@@ -199,3 +199,75 @@ def test_a_weak_torque_is_told_from_a_duty_by_its_damping_though_the_models_iner
     for sample in (duty, under_a_law(1.0, 0.1, friction=0.1)):
         unit, why = effort_unit(robot, "disc", [sample], 1.0, 0.0)
         assert unit == "duty" and '--effort-unit "N m"' in why and "--effort-unit A" in why
+
+
+GRIPPER = """<mujoco model="heron">
+  <compiler angle="radian" meshdir="assets" autolimits="true"/>
+  <option integrator="implicitfast" timestep="0.002"/>
+  <default>
+    <default class="heron">
+      <joint armature="0.01" damping="0.05" frictionloss="0.02"/>
+      <position kp="30" dampratio="1"/>
+      <default class="neck"><joint axis="0 1 0" range="-1.5 1.5"/><position forcerange="-3.5 3.5"/></default>
+      <default class="visual"><geom type="mesh" contype="0" conaffinity="0" group="2" density="0"/></default>
+      <default class="collision"><geom type="capsule" group="3" size="0.02" mass="0.2"/></default>
+    </default>
+  </default>
+  <asset><mesh file="shell.obj" scale="0.001 0.001 0.001"/></asset>
+  <worldbody>
+    <body name="base" childclass="heron"><geom class="visual" mesh="shell"/>
+      <body name="upper" pos="0 0 0.1"><joint name="Neck_Pitch" class="neck"/>
+        <geom class="visual" mesh="shell"/><geom class="collision" fromto="0 0 0 0 0 0.15"/>
+        <body name="lower" pos="0 0 0.15"><joint name="beak" class="neck" range="-0.5 1.1"/>
+          <geom class="visual" mesh="shell"/><geom class="collision" fromto="0 0 0 0 0 0.1"/>
+          <site name="tip" pos="0 0 0.1"/></body></body></body>
+  </worldbody>
+  <contact><exclude body1="base" body2="upper"/></contact>
+  <actuator>
+    <position class="neck" name="neck" joint="Neck_Pitch" inheritrange="1"/>
+    <position class="neck" joint="beak" inheritrange="1"/>
+  </actuator>
+  <sensor><actuatorfrc name="felt" actuator="neck"/><framepos name="where" objtype="site" objname="tip"/></sensor>
+  <keyframe><key name="home" qpos="0.3 0.1" ctrl="0.3 0.1"/></keyframe>
+</mujoco>"""
+SHELL = "v 0 0 0\nv 30 0 0\nv 0 30 0\nv 0 0 60\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_a_model_as_in_collections_of_robots_goes_in_and_out_again(tmp_path: Path) -> None:
+    """Classes of defaults, meshes in a folder beside it, a force range, sensors, a keyframe; one actuator unnamed."""
+    home = tmp_path / "heron"
+    (home / "assets").mkdir(parents=True)
+    (home / "heron.xml").write_text(GRIPPER)
+    (home / "assets" / "shell.obj").write_text(SHELL)
+    header = "t,neck_pitch_target,beak_target,neck_pitch,beak"
+    csv = table(tmp_path / "run.csv", header, TARGET, 0.5 * TARGET, ANGLE, 0.5 * ANGLE)
+    out = tmp_path / "rig"
+    done = eps_tunnel("new-rig", home / "heron.xml", "--csv", csv, "--no-check", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "Joint Neck_Pitch is recorded as Neck_Pitch" in done.stdout
+    assert "The actuator of joint beak has no name in heron.xml" in done.stdout
+    model = load_model(out / "model.yaml")
+    assert [(a.joint, a.actuator) for a in model.rig.axes] == [("Neck_Pitch", "neck"), ("beak", "beak")]
+    assert model.rig.axes[1].limits == (-0.5, 1.1)
+    assert "forcerange in the model" in (out / "model.yaml").read_text()
+    made = mujoco.MjModel.from_xml_path(str(out / "robot.xml"))
+    assert made.nkey == 1 and made.nmesh == 1 and made.nsensor == 2 and made.key_qpos[0].tolist() == [0.3, 0.1]
+    delays = {f"drive.{axis.name}.delay": 0.02 for axis in model.rig.axes}
+    named = model.with_effect("coulomb_friction", "beak", {"torque": 0.1}).with_values(delays)
+    save_model(named, tmp_path / "better.yaml")
+    exported = tmp_path / "elsewhere" / "heron.xml"
+    exported.parent.mkdir()
+    done = eps_tunnel("export", "--model", tmp_path / "better.yaml", "--mjcf", exported)
+    assert done.returncode == 0, done.stderr
+    mj = mujoco.MjModel.from_xml_path(str(exported))
+    assert mj.nkey == 1 and mj.nmesh == 1 and mj.key_qpos[0].tolist() == [0.3, 0.1]
+    targets = np.stack([TARGET, 0.5 * TARGET], axis=1)
+    ours = simulate(named, TIME, targets).select(["Neck_Pitch", "beak"]).values[0]
+    assert not exported.with_name("heron_effects.py").exists(), "MuJoCo says it all"
+    data, seen = mujoco.MjData(mj), []
+    for target in targets:
+        seen.append(data.qpos.copy())
+        data.ctrl[[mj.actuator("neck").id, mj.actuator("beak").id]] = target
+        mujoco.mj_step(mj, data, round(STEP / mj.opt.timestep))
+    assert np.ptp(ours, axis=0).min() > 0.2
+    assert np.array(seen) == pytest.approx(ours, abs=1e-6)

@@ -43,6 +43,7 @@ def verdict(diagnosis: Diagnosis) -> Section:
     unit = diagnosis.model.rig.position_unit
     steps = [(name, e, unit) for name, e in zip(names, (v.given, v.before, v.after), strict=False)]
     steps += [(f"the ball, {name}", e, "m") for name, e in zip(names, v.ball, strict=False)]
+    repeated = diagnosis.before.real.count > 1  # the tunnel of one trial has no width, so its shares mean nothing
     shown = [(name, p) for name, p in v.set.items() if p >= 0.001][:LISTED_HYPOTHESES]
     blocks: list[Block] = [
         Table(
@@ -57,7 +58,7 @@ def verdict(diagnosis: Diagnosis) -> Section:
                     name,
                     shown_value(e.error, unit),
                     shown_value(e.held_out, unit),
-                    *map(shown_share, (e.alikeness, v.rig_against_itself)),
+                    *map(shown_share, (e.alikeness if repeated else math.nan, v.rig_against_itself)),
                 )
                 for name, e, unit in steps
             ],
