@@ -26,7 +26,8 @@ from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import run_offline
 from labyrinth_msgs.action import Diagnose
-from labyrinth_msgs.msg import Diagnosis, LiveCounters, Srg, Trial
+from labyrinth_msgs.msg import Diagnosis, LiveCounters, RunningModel, Srg, Trial
+from labyrinth_sim import config
 
 pytestmark = pytest.mark.realtime
 SECOND = 1_000_000_000
@@ -60,6 +61,15 @@ class Sender:
         for _ in range(count):
             self.now += STEP
             self.send(self.now)
+
+    def play(self, rate: float, seconds: float) -> None:
+        """One trial between samples at that rate, Hz."""
+        start = self.now + SECOND
+        self.mark(Trial.START, start, 0, seconds)
+        for _ in range(round((seconds + 2.0) * rate)):
+            self.now += round(SECOND / rate)
+            self.send(self.now)
+        self.mark(Trial.END, start + round(seconds * SECOND), 0, seconds)
 
     def mark(self, phase: int, stamp: int, trial: int, seconds: float) -> None:
         message = Trial(phase=phase, sequence="any", sequence_hash="c" * 64, trial=trial, duration=seconds)
@@ -139,6 +149,21 @@ def test_the_tunnel_of_a_reference_bag_judges_a_simulation_alone(place: Workplac
     assert live.signals == ["motor_x"]
     # A simulation that stands still leaves the tunnel of a rig that moves.
     assert 0.0 < live.alikeness[0] < 0.5
+
+
+def test_both_sides_are_compared_at_the_rate_of_the_rig_that_is_simulated(place: Workplace) -> None:
+    told: list[Srg] = []
+    place.node.create_subscription(Srg, "/srg", told.append, 100)
+    place.start("eps_tunnel_analysis", "analysis_node")
+    running = place.node.create_publisher(RunningModel, "/sim/model", LATCHED)
+    sides = [Sender(place, side) for side in ("real", "sim")]
+    place.until(running.get_subscription_count)
+    running.publish(RunningModel(name="pendulum", file=str(config.find("models", "pendulum"))))
+    log = place.folder / "logs" / "analysis_node.log"
+    place.until(lambda: "at 200 Hz" in log.read_text())
+    for side in sides:
+        side.play(200.0, 1.0)
+    assert place.until(lambda: told and told[-1].samples > 150 and told[-1]).samples == 201
 
 
 def test_a_reference_that_is_no_bag_is_refused(place: Workplace) -> None:

@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the loop adds after each kind of verdict."""
+"""What the loop adds after each kind of verdict, and how the gap of a play is measured."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from small_recordings import record, write_rig
 
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Errors, Verdict, decide
 from eps_tunnel_analysis.loop.experimenter import chosen_effects
+from eps_tunnel_analysis.loop.gap import Bags, measure_gap
+from labyrinth_sim.model import load_model
 from labyrinth_sim.registry import Registry
 
 REGISTRY = Registry.load()
@@ -57,3 +62,11 @@ def test_what_is_added(probabilities: dict[str, float], added: tuple[str, ...], 
     names, reason = chosen_effects(verdict(probabilities), REGISTRY)
     assert names == added
     assert reason.startswith(why) if why else reason == ""
+
+
+def test_the_gap_of_a_play_is_compared_at_the_rate_of_its_rig(tmp_path: Path) -> None:
+    model = load_model(write_rig(tmp_path))
+    bags = Bags((record(model, tmp_path / "real"),), (record(model, tmp_path / "sim", seed=1),))
+    for step in (0.005, 0.01):
+        gap = measure_gap(bags, replace(model.rig, sample_time=step))
+        assert gap.comparison.real.time[1] == pytest.approx(step)

@@ -14,6 +14,7 @@ from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.repeats import repeats
 from eps_tunnel_analysis.outputs import circumstances, new_folder, versions
 from eps_tunnel_analysis.recording import Recording, read, to_trials
+from eps_tunnel_analysis.recording.trials import RATE
 from eps_tunnel_analysis.report.next_step import after_comparison
 from eps_tunnel_analysis.report.reports import write_comparison
 from eps_tunnel_analysis.simulated import Play
@@ -100,14 +101,16 @@ def measure_gap(bags: Bags, rig: Rig, ks: Sequence[float] = KS) -> Gap:
     """
     real, sim = ([read(path) for path in paths] for paths in (bags.real, bags.sim))
     names, notes = _throughout([*real, *sim], rig)
-    trials = to_trials(real, rig, signals=names).trials
-    comparison = compare(trials, to_trials(sim, rig, signals=names).trials, ks)
+    trials = to_trials(real, rig, signals=names, rate=rig.rate).trials
+    comparison = compare(trials, to_trials(sim, rig, signals=names, rate=rig.rate).trials, ks)
     return Gap(comparison, (*notes, *comparison.notes), max(r.jitter for r in repeats(trials, names)))
 
 
 def write_gap(gap: Gap, bags: Bags, folder: Path, name: str, model: str) -> None:
     """Report and tables, as `compare` writes them, into a new folder; `name` and path of the model simulated."""
     command = ["eps-tunnel", "compare", "--real", *map(str, bags.real), "--sim", *map(str, bags.sim)]
+    rate = 1.0 / gap.comparison.real.step
+    command += [] if np.isclose(rate, RATE) else ["--rate", f"{rate:g}"]
     facts = [
         *(("real bag", str(bag)) for bag in bags.real),
         *(("simulated bag", str(bag)) for bag in bags.sim),
@@ -130,7 +133,7 @@ def _throughout(recordings: Sequence[Recording], rig: Rig) -> tuple[list[str], l
     for name in names:
         for recording in recordings:
             try:
-                to_trials([recording], rig, signals=[name])
+                to_trials([recording], rig, signals=[name], rate=rig.rate)
             except InputError as error:
                 left_out[name] = f"{name} is left out. {error}"
     if len(left_out) == len(names):

@@ -6,7 +6,7 @@ import sys
 import time
 from array import array
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,17 +28,20 @@ from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched, nanos
 from eps_tunnel_analysis.nodes.recorder import TAKE_PERIOD, Recorder
 from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.recording.recording import Phase, TrialMark
+from eps_tunnel_analysis.recording.trials import RATE
 from eps_tunnel_analysis.tasks import DiagnoseTask, run_task
 from labyrinth_msgs.action import Diagnose
 from labyrinth_msgs.msg import BallState, Diagnosis, LiveCounters, RunningModel, Srg, Trial, TunnelSample
 from labyrinth_msgs.srv import Record
 from labyrinth_sim.config import typed_path
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.model import load_model
 from labyrinth_sim.rig import WORD
 
 PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTED: "aborted"}
 SUFFIX_FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
 SUFFIX_UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
+LOWEST_RATE = 1.0  # Hz
 
 
 class DiagnoseServer:
@@ -110,9 +113,8 @@ class AnalysisNode(TunnelNode):
         ks = self.parameter("ks", list(KS), "Factors by which the real tunnel is widened", "1")
         k_sim = self.parameter("k_sim", 1.0, "Factor by which the simulated tunnel is widened", "1", 0, 1000)
         smoothed = self.parameter("smoothed", True, "Smooth the tunnel over 11 samples, equation 12")
-        rate = self.parameter(
-            "rate", 100.0, "Samples a second of the grid on which both sides are compared", "Hz", 1, 1000
-        )
+        rate = self.parameter("rate", 0.0, "Samples a second of the grid on which both sides are compared; 0: as many "
+                              "as the simulation's rig has, and 100 without one", "Hz", 0, 1000)  # fmt: skip
         max_gap = self.parameter("max_gap", 0.1, "Longest span between measurements that is bridged", "s", 0.001, 10)
         late = self.parameter("late_after", 0.1, "Age at arrival from which a message counts as late", "s", 0.001, 60,
                               changes=True)  # fmt: skip
@@ -123,21 +125,20 @@ class AnalysisNode(TunnelNode):
         reference = self.parameter("reference", [""], "Bags of real trials whose tunnels hold from the start")
         if not ks or min(ks) < 0 or len(set(ks)) != len(ks):
             self.complain(f"Parameter 'ks': expected different numbers of at least 0, got {list(ks)}.")
+        if 0 < rate < LOWEST_RATE:
+            self.complain(f"Parameter 'rate': expected 0, or at least {LOWEST_RATE:g} Hz, got {rate:g}.")
         self.check_parameters()
         self._asked = tuple(name for name in signals if name)
         self._fields = [
             suffix for suffix in SUFFIX_FIELDS if not suffix or any(name.endswith(suffix) for name in self._asked)
         ]
-        self._gap = LiveGap(
-            self._units(),
-            self._asked,
-            rate=rate,
-            ks=ks,
-            k_sim=k_sim,
-            max_gap=max_gap,
-            smoothed=smoothed,
+        self._max_gap = max_gap
+        self._empty_gap = partial(
+            LiveGap, self._units(), self._asked, ks=ks, k_sim=k_sim, max_gap=max_gap, smoothed=smoothed
         )
-        self._refer([typed_path(bag) for bag in reference or () if bag], rate, max_gap)
+        self._reference = [read(typed_path(bag)) for bag in reference or () if bag]
+        self._rate, self._own_rate = rate or RATE, not rate
+        self._gap = self._gap_at(self._rate)
         self._counts: dict[str, StampCounts] = {}
         self._late_after = late
         self.add_post_set_parameters_callback(self._changed)
@@ -235,16 +236,18 @@ class AnalysisNode(TunnelNode):
                 values += column
         return tuple(names), np.array(values)
 
-    def _refer(self, bags: list[Path], rate: float, max_gap: float) -> None:
-        """Raises InputError for what is no bag of real trials."""
-        if not bags:
-            return
-        found = to_plays([read(bag) for bag in bags], namespace="/real", rate=rate, max_gap=max_gap)
+    def _gap_at(self, rate: float) -> LiveGap:
+        """A gap without trials but those of the reference. Raises InputError for what is no bag of real trials."""
+        gap = self._empty_gap(rate=rate)
+        if not self._reference:
+            return gap
+        found = to_plays(self._reference, namespace="/real", rate=rate, max_gap=self._max_gap)
         for play, result in zip(found.plays, found.results, strict=True):
             if not result.sequence_hash:
                 raise InputError(f"reference: {play.name} tells no sequence; expected bags with marked trials.")
-            self._gap.refer_to(result.sequence_hash, play.trials)
+            gap.refer_to(result.sequence_hash, play.trials)
             self.get_logger().info(f"{play.trials.count} trials of {play.name} are the reference.")
+        return gap
 
     def _counted(self, side: str, topic: str, stamp: int, arrival: int) -> bool:
         if self._sim_time:
@@ -364,7 +367,13 @@ class AnalysisNode(TunnelNode):
         self._recorder.model = model.name
         told = (model.name, model.file, str(model.loaded))
         before, self._model = self._model, told
-        if before is not None and before != told:
+        if before == told:
+            return
+        rate = _rate_of(model.file) if self._own_rate else self._rate
+        if rate != self._rate:
+            self._rate, self._gap, self._told_trials = rate, self._gap_at(rate), -1
+            self.get_logger().info(f"Both sides are compared at {rate:g} Hz, as '{model.name}' says of its rig.")
+        if before is not None:
             self._gap.forget("sim")
             self._told_trials = -1
             self.get_logger().info(f"The simulation runs '{model.name}' now; its earlier trials are left out.")
@@ -399,6 +408,14 @@ class AnalysisNode(TunnelNode):
         told = DiagnosticArray(status=[samples, recording])
         told.header.stamp = now
         self._diagnostics.publish(told)
+
+
+def _rate_of(file: str) -> float:
+    """Hz, of the rig of a model's file; RATE where there is none that this machine can read."""
+    try:
+        return load_model(file).rig.rate if file else RATE
+    except InputError:
+        return RATE
 
 
 def main(args: list[str] | None = None) -> int:
