@@ -170,10 +170,8 @@ def roll_out(model: Model, play: Play, timestep: float | None = None) -> Trials:
 
 def first_pose(model: Model, trials: Sequence[StampedTrial]) -> dict[str, float]:
     """Position of each joint, and of a ball, where it was first seen: the mean over the trials that saw it."""
-    names = [m.signal for m in model.rig.measured if m.quantity == "position"]
-    names += BALL_SIGNALS if model.rig.ball else ()
     pose = {}
-    for name in names:
+    for name in model.rig.positions + (BALL_SIGNALS if model.rig.ball else ()):
         first = [t.signals[name].values[0] for t in trials if name in t.signals and len(t.signals[name].time)]
         if first:
             pose[name] = float(np.mean(first))
@@ -259,7 +257,7 @@ def compared_signals(model: Model, trials: Sequence[Trials], asked: Iterable[str
         if unknown:
             raise InputError(unknown)
         return names
-    positions = {m.signal for m in model.rig.measured if m.quantity == "position"} | {"ball_x", "ball_y"}
+    positions = {*model.rig.positions, *BALL_SIGNALS}
     chosen = tuple(s for s in common if s in positions)
     if not chosen:
         raise InputError(

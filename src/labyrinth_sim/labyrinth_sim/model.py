@@ -271,7 +271,7 @@ def places(rig: Rig, effect: Effect) -> tuple[str, ...]:
     if effect.where == "ball":
         return ("ball",) if rig.ball else ()
     if effect.where == "signal":
-        return tuple(m.signal for m in rig.measured if m.quantity == "position")
+        return rig.positions
     if "ball" in effect.needs and rig.ball is None:
         return ()
     if "other_axis" in effect.needs and len(rig.axes) < 2:

@@ -112,6 +112,11 @@ class Axis:
         return self.load_joint or self.joint
 
     @property
+    def positions(self) -> tuple[str, ...]:
+        """The signals that are positions of its joints."""
+        return tuple(m.signal for m in self.measured if m.quantity == "position")
+
+    @property
     def finest_first(self) -> tuple[Measured, ...]:
         """What is measured, what is read in the finest ticks first."""
         return tuple(sorted(self.measured, key=lambda m: m.resolution))
@@ -152,6 +157,11 @@ class Rig:
     @property
     def measured(self) -> tuple[Measured, ...]:
         return tuple(m for axis in self.axes for m in axis.measured)
+
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """The signals that are positions of joints."""
+        return tuple(signal for axis in self.axes for signal in axis.positions)
 
     @property
     def signals(self) -> tuple[str, ...]:

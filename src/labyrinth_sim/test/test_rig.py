@@ -81,6 +81,7 @@ def test_slide_joints_are_axes_in_m_and_n_and_names_may_be_upper_case(tmp_path: 
     }  # fmt: skip
     assert (rig.axis("Rail").slides, rig.axis("Hip").slides) == (True, False)
     assert (rig.sample_time, rig.rate) == (0.01, 100.0)
+    assert rig.positions == ("Rail_X", "FL_hip_joint")
 
 
 def test_a_model_of_a_slide_joint_is_in_its_units_and_runs(tmp_path: Path) -> None:

@@ -98,8 +98,7 @@ def by_axis(model: Model, free: Sequence[str], plays: Sequence[Play], signals: S
         left = [name for name in left if name not in mine]
         if not mine:
             continue
-        own = [m.signal for m in axis.measured if m.quantity == "position"]
-        seen = [s for s in own if all(s in play.trials.signals for play in plays)]
+        seen = [s for s in axis.positions if all(s in play.trials.signals for play in plays)]
         asked = [m.signal for m in axis.measured if m.signal in (signals or ())] if signals is not None else seen
         chosen = tuple(asked) or (tuple(signals) if signals is not None else None)
         moved = tuple(i for i, play in enumerate(plays) if _moves(play, axis.command))

@@ -129,13 +129,12 @@ def write_gap(gap: Gap, bags: Bags, folder: Path, name: str, model: str) -> None
 def _throughout(recordings: Sequence[Recording], rig: Rig) -> tuple[list[str], list[str]]:
     """The positions measured throughout, and what is said of the others."""
     left_out: dict[str, str] = {}
-    names = [m.signal for m in rig.measured if m.quantity == "position"]
-    for name in names:
+    for name in rig.positions:
         for recording in recordings:
             try:
                 to_trials([recording], rig, signals=[name], rate=rig.rate)
             except InputError as error:
                 left_out[name] = f"{name} is left out. {error}"
-    if len(left_out) == len(names):
+    if len(left_out) == len(rig.positions):
         raise InputError(list(left_out.values()))
-    return [name for name in names if name not in left_out], list(left_out.values())
+    return [name for name in rig.positions if name not in left_out], list(left_out.values())

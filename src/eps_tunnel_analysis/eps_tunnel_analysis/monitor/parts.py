@@ -268,7 +268,7 @@ Part = (
 
 def rig_of(model: Model) -> RigPart:
     """The rig as the page shows it."""
-    axes = tuple(m.signal for a in model.rig.axes for m in a.measured if m.quantity == "position")
+    axes = model.rig.positions
     reach = max(max(map(abs, a.limits)) for a in model.rig.axes)
     floor = floor_of(model)
     loads = [m.signal for a in model.rig.axes for m in a.measured if (m.joint, m.quantity) == (a.load, "position")]

@@ -36,7 +36,7 @@ from labyrinth_msgs.srv import Record
 from labyrinth_sim.config import typed_path
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
-from labyrinth_sim.rig import WORD
+from labyrinth_sim.rig import BALL_SIGNALS, WORD
 
 PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTED: "aborted"}
 SUFFIX_FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
@@ -222,7 +222,7 @@ class AnalysisNode(TunnelNode):
             stamp = nanoseconds(ball.header.stamp)
             # Where the ball is not seen there is no measurement; a gap follows.
             if self._counted(side, topic, stamp, arrival) and ball.visible:
-                self._judged(self._gap.add(side, name, ("ball_x", "ball_y"), stamp, np.array([ball.x, ball.y])))
+                self._judged(self._gap.add(side, name, BALL_SIGNALS, stamp, np.array([ball.x, ball.y])))
         elif name == "model" and side == "sim":
             self._note_model(deserialize_message(raw, RunningModel))
 

@@ -127,7 +127,7 @@ def held_by_all(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
         sources = channel_map(rig, namespace_of(recording)).signals
         holding.append({source.name for source in sources if _holds(recording, source)})
     optional = {*BALL_SIGNALS, *(m.signal for m in rig.measured if m.quantity == "torque")}
-    wanted = {m.signal for m in rig.measured if m.quantity == "position"} | optional.intersection(*holding)
+    wanted = set(rig.positions) | optional.intersection(*holding)
     return [name for name in rig.signals if name in wanted]
 
 

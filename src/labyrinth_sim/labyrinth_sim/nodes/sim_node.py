@@ -33,6 +33,7 @@ from labyrinth_sim.ball import ON_BOARD, OVER_THE_RIM, BallGame
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.nodes.start import start_ros, waiting
+from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import Stepper
 from labyrinth_sim.urdf import urdf
 
@@ -205,9 +206,8 @@ class SimNode(LifecycleNode):
 
     def _pose(self) -> dict[str, float]:
         now = dict(zip(self._stepper.signals, self._last, strict=True))
-        positions = [m.signal for m in self._model.rig.measured if m.quantity == "position"]
-        ball = ["ball_x", "ball_y"] if self._stepper.with_ball and not self._lost else []
-        return {name: float(now[name]) for name in positions + ball}
+        ball = BALL_SIGNALS if self._stepper.with_ball and not self._lost else ()
+        return {name: float(now[name]) for name in (*self._model.rig.positions, *ball)}
 
     def _command(self, message: JointState) -> None:
         channels = self._model.rig.command_channels

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node's program starts: its words checked, ROS begun, one line where either fails; and what waits in a subscription."""
+"""How a node's program starts, with one line where words or ROS fail; and what waits in a subscription."""
 
 import re
 import sys
