@@ -2,6 +2,7 @@
 """Errors between measured and simulated trajectories, per signal."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,23 @@ def command_error(real: Array, sim: Array) -> float:
     """
     error = np.abs(np.asarray(real, dtype=np.float64) - np.asarray(sim, dtype=np.float64))
     return float(np.nanmean(error)) if np.isfinite(error).any() else math.nan
+
+
+def error_unit(units: Sequence[str]) -> str:
+    """In which one number for signals in these units is told: rad where some turn, else m where some slide."""
+    return next((unit for unit in ("rad", "m") if unit in units), units[0])
+
+
+def mean_error(errors: Sequence[float], units: Sequence[str], unit: str = "") -> float:
+    """Mean over the signals in one unit: in `unit`, or else in their `error_unit`; NaN where no such signal was seen.
+
+    Args:
+        errors: of each signal, equation 10 say.
+        units: theirs.
+    """
+    chosen = unit or error_unit(units)
+    own = np.array([e for e, its in zip(errors, units, strict=True) if its == chosen])
+    return float(np.nanmean(own)) if not np.isnan(own).all() else math.nan
 
 
 def signal_errors(real: Trials, sim: Trials) -> tuple[SignalError, ...]:

@@ -12,11 +12,11 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
 
 from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.compare import Comparison, compare
+from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.inputs import Reading, Recorded, Sides, bags, load_recorded, load_sides, model_of
 from eps_tunnel_analysis.outputs import circumstances, new_folder, refuse_existing, shown_share, shown_value, versions
 from eps_tunnel_analysis.recording import TimeSource
@@ -305,8 +305,8 @@ class StudyGap(_InNotebook):
 
     @property
     def error(self) -> float:
-        """Equation 10, mean over the signals, in their unit; NaN where their units differ."""
-        return _mean([e.command_error for e in self.comparison.errors], self.comparison.real.units)
+        """Equation 10, mean over the signals in rad, or those in m where none turns."""
+        return mean_error([e.command_error for e in self.comparison.errors], self.comparison.real.units)
 
     @property
     def alikeness(self) -> dict[float, float]:
@@ -492,7 +492,3 @@ def _listed(paths: Sequence[Path]) -> str:
 
 def _name(model: Named | Model | None) -> str:
     return model.name if isinstance(model, Model) else str(model or "")
-
-
-def _mean(values: Sequence[float], units: Sequence[str]) -> float:
-    return float(np.nanmean(values)) if len(set(units)) == 1 else float("nan")

@@ -5,15 +5,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_recordings import record, write_rig
 
+from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Errors, Verdict, decide
+from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.loop.experimenter import chosen_effects
-from eps_tunnel_analysis.loop.gap import Bags, measure_gap
+from eps_tunnel_analysis.loop.gap import Bags, Gap, measure_gap
+from eps_tunnel_analysis.study import StudyGap
 from labyrinth_sim.model import load_model
 from labyrinth_sim.registry import Registry
+from labyrinth_sim.trials import Trials
 
 REGISTRY = Registry.load()
 
@@ -70,3 +75,18 @@ def test_the_gap_of_a_play_is_compared_at_the_rate_of_its_rig(tmp_path: Path) ->
     for step in (0.005, 0.01):
         gap = measure_gap(bags, replace(model.rig, sample_time=step))
         assert gap.comparison.real.time[1] == pytest.approx(step)
+
+
+def test_the_error_of_a_rig_that_turns_and_slides_is_that_of_what_turns() -> None:
+    time = np.arange(100) * 0.01
+    wave = np.column_stack([np.sin(time), np.cos(time)])[None]
+    both = {"time": time, "signals": ("hip", "rail"), "units": ("rad", "m"), "command_channels": ()}
+    real, sim = (
+        Trials(**both, values=v, commands=np.empty((len(v), 100, 0))) for v in (wave, wave + np.array([0.1, 0.3]))
+    )
+    shown = compare(real, sim)
+    assert mean_error([0.1, 0.3], ["rad", "m"]) == 0.1
+    assert mean_error([0.1, 0.3], ["rad", "m"], "m") == 0.3
+    assert np.isnan(mean_error([np.nan, 0.3], ["rad", "m"]))
+    for gap in (Gap(shown, (), 0.0), StudyGap(shown)):
+        assert gap.error == pytest.approx(0.1)

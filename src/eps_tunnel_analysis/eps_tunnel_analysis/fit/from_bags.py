@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.fit.calibrate import Bars, CalibrationResult, Score, Settings, calibrate_model
 from eps_tunnel_analysis.fit.problem import default_free, free_parameters
 from eps_tunnel_analysis.inputs import Recorded
@@ -167,11 +168,12 @@ def content_of(
 
 
 def _held_out_error(result: CalibrationResult) -> tuple[float, float] | None:
-    """Mean of E_C over signals and held-out commands, before and after; None where none were held out."""
+    """Mean of E_C over signals in one unit and held-out commands, before and after; None where none were held out."""
     if not result.held_out_after:
         return None
+    units = [s.unit for s in result.held_out_after]
     before, after = (
-        sum(s.error for s in scores) / len(scores) for scores in (result.held_out_before, result.held_out_after)
+        mean_error([s.error for s in scores], units) for scores in (result.held_out_before, result.held_out_after)
     )
     return before, after
 

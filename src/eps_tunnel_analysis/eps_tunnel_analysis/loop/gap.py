@@ -12,6 +12,7 @@ from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.check.data import check_data, sentences
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.repeats import repeats
+from eps_tunnel_analysis.error import error_unit, mean_error
 from eps_tunnel_analysis.outputs import circumstances, new_folder, versions
 from eps_tunnel_analysis.recording import Recording, read, to_trials
 from eps_tunnel_analysis.recording.trials import RATE
@@ -67,17 +68,17 @@ class Gap:
     @property
     def unit(self) -> str:
         """Of the errors: that of the signals; rad where some turn and some slide."""
-        return "m" if set(self.comparison.real.units) == {"m"} else "rad"
+        return error_unit(self.comparison.real.units)
 
     @property
     def error(self) -> float:
-        """Equation 10, mean over the signals, in `unit`."""
-        return float(np.nanmean([e.command_error for e in self.comparison.errors]))
+        """Equation 10, mean over the signals in `unit`."""
+        return mean_error([e.command_error for e in self.comparison.errors], self.comparison.real.units)
 
     @property
     def repeats(self) -> float:
-        """What the rig itself does not repeat: RMS about the mean of its trials, mean over the signals; in `unit`."""
-        return float(np.nanmean([e.repeat_rms for e in self.comparison.errors]))
+        """What the rig itself does not repeat: RMS about the mean of its trials, mean over the signals in `unit`."""
+        return mean_error([e.repeat_rms for e in self.comparison.errors], self.comparison.real.units)
 
     @property
     def alikeness(self) -> dict[float, float]:
