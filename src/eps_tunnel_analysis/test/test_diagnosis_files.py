@@ -111,3 +111,10 @@ def test_of_the_ball_no_recording_is_told() -> None:
     assert sledge[0].startswith("Worse than") and len(sledge) == 4
     assert len(ball) == 2 and not any("Alikeness" in line or "Worse" in line for line in ball)
     assert fall_sentences(three, worse, "m") == ball
+
+
+def test_an_error_that_is_left_never_fell_by_all_of_it() -> None:
+    three = tuple(Errors(error, error, 0.1) for error in (0.01, 0.005, 1e-5))
+    one = tuple((PlayError("one", False, e.error),) for e in three)
+    fitted = fall_sentences((three[0], three[1], three[2]), one)[0]
+    assert "over 99% lower than that of the model as given" in fitted and "100%" not in fitted

@@ -133,4 +133,5 @@ def _fall(where: str, errors: tuple[float, float, float], unit: str) -> str:
 
 def _change(after: float, before: float) -> str:
     change = after / before - 1.0 if before else 0.0
-    return f"{abs(change):.0%} {'higher' if change > 0 else 'lower'}"
+    share = "over 99%" if -1.0 < change < -0.99 else f"{abs(change):.0%}"
+    return f"{share} {'higher' if change > 0 else 'lower'}"
