@@ -13,23 +13,32 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from labyrinth_hw import config
 from labyrinth_hw.ball_tracker import BallTracker
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
+from labyrinth_hw.marble import Marble
 from labyrinth_hw.testbed.renderer import Renderer
 from labyrinth_hw.testbed.scene import Lighting, Scene
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src/labyrinth_hw/test"))
 from camera_views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
 
+MARBLE = (190, 70, 30)  # BGR, of config/testbed/cyberrunner.yaml, whose file config/hw/cyberrunner.yaml names
 
-def measure(lens: str, speed: float, rooms: int, frames: int, seed: int) -> dict[str, float]:
-    """Figures over random rooms; the ball jumps from place to place, so every frame searches the whole board."""
+
+def measure(lens: str, speed: float, rooms: int, frames: int, seed: int, painted: bool = False) -> dict[str, float]:
+    """Figures over random rooms; the ball jumps from place to place, so every frame searches the whole board.
+
+    Args:
+        painted: a blue marble, by the colour of one click; else steel.
+    """
+    marble = Marble.load(config.find("marbles", "cyberrunner_blue")) if painted else None
     view, rng = {"close": CLOSE, "far": FAR, "crooked": CROOKED}[lens], np.random.default_rng(seed)
     errors, times, render_times, missed, false, empty = [], [], [], 0, 0, 0
     for room in range(rooms):
         board = layout(("easy", "medium", "hard")[room % 3])
-        renderer = Renderer(board, view, Lighting.drawn(rng), seed=room)
-        marks, tracker = LandmarkTracker(DotPlan.from_sizes(), intrinsics(view)), BallTracker()
+        renderer = Renderer(board, view, Lighting.drawn(rng), seed=room, marble=MARBLE if painted else None)
+        marks, tracker = LandmarkTracker(DotPlan.from_sizes(), intrinsics(view)), BallTracker(marble=marble)
         for index in range(frames):
             place, way = free_place(board, rng), rng.uniform(0, 2 * np.pi)
             ball = (float(place[0]), float(place[1])) if index % 5 else None
@@ -66,12 +75,13 @@ def main() -> None:
     given = parser.parse_args()
     cv2.setNumThreads(1)
     results: dict[str, dict[str, float]] = {}
-    for lens in ("close", "far", "crooked"):
-        for speed in (0.0, 0.3):
-            row = results[f"{lens} {speed:g} m/s"] = measure(lens, speed, given.rooms, given.frames, given.seed)
-            if len(results) == 1:
-                print(f"{'view':<16}" + "".join(f"{name:>11}" for name in row))
-            print(f"{lens} {speed:g} m/s".ljust(16) + "".join(f"{value:11.3f}" for value in row.values()), flush=True)
+    views = [(lens, speed, False) for lens in ("close", "far", "crooked") for speed in (0.0, 0.3)]
+    for lens, speed, painted in [*views, ("close", 0.0, True), ("close", 0.3, True)]:
+        name = f"{lens} {speed:g} m/s" + (", marble" if painted else "")
+        row = results[name] = measure(lens, speed, given.rooms, given.frames, given.seed, painted)
+        if len(results) == 1:
+            print(f"{'view':<24}" + "".join(f"{word:>11}" for word in row))
+        print(name.ljust(24) + "".join(f"{value:11.3f}" for value in row.values()), flush=True)
     if given.json:
         given.json.write_text(json.dumps({"seed": given.seed, "results": results}, indent=1), encoding="utf-8")
 

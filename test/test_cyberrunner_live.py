@@ -22,6 +22,7 @@ from eps_tunnel_analysis.inputs import load_recorded
 from eps_tunnel_analysis.nodes.rig_processes import executable
 from eps_tunnel_analysis.processes import Processes
 from labyrinth_msgs.action import PlaySequence
+from labyrinth_msgs.msg import BallState
 
 pytestmark = pytest.mark.realtime
 SEQUENCE = """
@@ -62,10 +63,13 @@ def place(tmp_path: Path, domain: int) -> Iterator[Workplace]:
 
 def test_the_whole_loop_from_the_bus_to_the_named_effect(place: Workplace, tmp_path: Path) -> None:
     tilts: list[JointState] = []
+    balls: list[BallState] = []
     place.node.create_subscription(JointState, "/real/board_states", tilts.append, 100)
+    place.node.create_subscription(BallState, "/real/ball", balls.append, 100)
     client = ActionClient(place.node, PlaySequence, "/play_sequence")
     place.until(client.server_is_ready)
     place.until(lambda: len(tilts) > 20)  # the camera sees the board
+    place.until(lambda: any(ball.visible for ball in balls))  # and the blue marble on it
     goal = PlaySequence.Goal(
         sequence=str(tmp_path / "board_y.yaml"), trials=2, record=True, folder=str(tmp_path / "play")
     )

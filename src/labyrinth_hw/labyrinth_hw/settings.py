@@ -142,7 +142,7 @@ class CameraSettings(Section):
         latency: s from exposure to arrival, where there is no such file.
         quarter_turns: of the camera about its axis.
         tilt: publish the board's tilt as NS/board_states, where no potentiometers measure it.
-        marble: file of `calibrate_camera marble`, of a painted marble; None for steel.
+        marble: a name in config/marbles, or a file of `calibrate_camera marble`, of a painted one; None for steel.
         ocam: file of OCamCalib, in place of `intrinsics`; its pictures are made straight, `size` and
             `field_of_view_deg` say how large.
     """
@@ -234,6 +234,16 @@ class HardwareConfig:
         return nearest + 1 if away[nearest] < NEAR_HOLE else -1
 
 
+def _with_marble(camera: CameraSettings | None, path: Path) -> CameraSettings | None:
+    """The camera with its marble's file as a path. Raises InputError where there is no such file."""
+    if camera is None or camera.marble is None:
+        return camera
+    try:
+        return camera.model_copy(update={"marble": str(config.find("marbles", camera.marble))})
+    except InputError as error:
+        raise InputError(f"{path}, camera, marble: {error} Make it with calibrate_camera marble.") from error
+
+
 def load_hardware(name: str | Path) -> HardwareConfig:
     """The configuration of a rig. Raises InputError with all complaints, each with its place in the file."""
     path = config.find("hw", name)
@@ -256,6 +266,6 @@ def load_hardware(name: str | Path) -> HardwareConfig:
         limits={motor.name: given.limits.get(motor.name, LimitsSection()).limits(motor) for motor in motors},
         compensation={key: section.compensation() for key, section in given.compensation.items()},
         torque_share=given.torque_share,
-        camera=given.camera,
+        camera=_with_marble(given.camera, path),
         holes=holes,
     )

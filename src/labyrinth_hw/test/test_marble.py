@@ -13,6 +13,8 @@ from labyrinth_hw.errors import InputError
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
 from labyrinth_hw.marble import Marble
 from labyrinth_hw.nodes.calibrate_camera import main
+from labyrinth_hw.settings import load_hardware
+from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.renderer import Frame, Renderer
 from labyrinth_hw.testbed.scene import Lens, Lighting, Scene
 
@@ -74,3 +76,30 @@ def test_one_click_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_click_beside_the_picture_is_refused() -> None:
     with pytest.raises(InputError, match="outside the picture of 640 x 360"):
         Marble.clicked(np.zeros((360, 640, 3), np.uint8), (640, 10))
+
+
+def test_cyberrunners_file_names_the_marble_that_its_testbed_shows(tmp_path: Path) -> None:
+    """Its camera as the emulated one, whose marble has the colour of config/testbed/cyberrunner.yaml."""
+    camera = load_hardware("cyberrunner").camera
+    assert camera is not None and camera.marble is not None
+    shown = load_testbed("cyberrunner").marble
+    assert shown == COLOURS["blue"]
+    board, rng = layout("hard"), np.random.default_rng(3)
+    renderer = Renderer(board, CLOSE, Lighting.drawn(rng), seed=2, marble=shown)
+    marks, tracker = (
+        LandmarkTracker(DotPlan.from_sizes(), intrinsics(CLOSE)),
+        BallTracker(marble=Marble.load(camera.marble)),
+    )
+    seen = []
+    for _ in range(6):
+        place = free_place(board, rng)
+        frame = renderer.render(Scene(ball=(float(place[0]), float(place[1]))))
+        seen.append(tracker.update(frame, marks.update(frame), 0.0).visible)
+    assert sum(seen) >= 5, "without its file none is seen"
+    own = tmp_path / "own.yaml"
+    own.write_text(
+        "servo_port: {path: servos, baud: 1000000}\nmotors: {motor_x: {id: 1, model: XL330-M077}}\n"
+        "camera: {source: testbed, marble: purple}\n"
+    )
+    with pytest.raises(InputError, match=r"camera, marble: .*cyberrunner_blue.*calibrate_camera marble"):
+        load_hardware(own)
