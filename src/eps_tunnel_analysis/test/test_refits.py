@@ -130,6 +130,26 @@ def test_the_ticks_of_a_drive_count_by_what_they_do_to_the_motion(recorded: list
     assert np.sqrt(coarse.scale**2 - fine.scale**2) == pytest.approx(more, rel=1e-9)  # and they count once
 
 
+@pytest.mark.parametrize(("apart", "agrees"), [(0.0, True), (0.5, False)])
+def test_ticks_count_less_the_more_the_rig_s_do_the_same_as_the_model_s(
+    recorded: list[Play], apart: float, agrees: bool
+) -> None:
+    """The rig's own ticks lie where the model's do, or half of one beside them."""
+    tick = 0.004
+    coarse = start().with_values({**TRUTH, "drive.x.feedback_tick": tick})
+    made = made_by(coarse, np.asarray(recorded[0].trials.commands[0]) + apart * tick)
+    beside = apart * tick * np.array([unit == "rad" for unit in made.units])
+    back = replace(made, commands=made.commands - apart * tick, values=made.values - beside)
+    search = part_search(coarse, [Play("ticks", back)])
+    here = search.at(search.start, refit(search, (), 1.0))
+    found = search.ticks_agree(here, search.levels["exact"].fold(SETTINGS.block)[search.used])
+    motor = search.evidence.signals.index("motor_x")
+    assert (found[motor] > 0.5) == agrees
+    before = search.scale[search.signal == motor].copy()
+    search.see_ticks(search.start, found)
+    assert bool((search.scale[search.signal == motor] < 0.8 * before).all()) == agrees
+
+
 def test_a_value_that_is_stated_is_left_only_for_a_reason(recorded: list[Play]) -> None:
     model = start().with_values(TRUTH).with_effect("viscous_friction", "x", {"damping": 0.05}, "data sheet")
     search = part_search(model, recorded)

@@ -11,6 +11,7 @@ from scipy.stats import qmc
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
@@ -127,13 +128,20 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     best_of_all = min(last, key=lambda r: r.objective)
     search.refine_at(best_of_all.values)
     result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
-    for _ in range(AGAIN):
+    for number in range(AGAIN):
         if worst_floors(result.residuals, search.signal) < 1.0:
             break
-        before, result = result, search.judged([((), result.values)], BASE_ROUNDS)[0]
-        if result.objective > before.objective - STANDS * before.objective:
-            result = min(before, result, key=lambda r: r.objective)
+        search.settle_at(result)
+        away = search.refit([((), point) for point in along_valley(search, result)], BASE_ROUNDS) if not number else []
+        before = result
+        found = search.judged([((), r.values) for r in (result, *away)], BASE_ROUNDS)
+        result = min([before, *found], key=lambda r: r.objective)
+        if result.objective > (1.0 - STANDS) * before.objective:
             break
+    if first:
+        folds = search.levels["exact"].fold(SETTINGS.block)[search.used]
+        search.see_ticks(result.values, search.ticks_agree(result, folds))
+        result = search.judged([((), result.values)], BASE_ROUNDS)[0]
     search.settle_at(result)
     return result
 

@@ -42,6 +42,8 @@ FINEST = 4e-4  # s, of MuJoCo's steps
 STANDS = 0.1  # floors by which half the step may change an answer that stands
 UNFELT = 0.02  # floors
 FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
+SURE = 2.0  # deviations
+MOST_AGREED = 0.9
 ROUGH = (
     0.2  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
 )
@@ -175,22 +177,55 @@ class Search:
     def _held_at(self, values: Array) -> float:
         return self.strain(values) * SETTINGS.correlated / len(self.used)
 
-    def see_ticks(self, values: Array) -> None:
+    def see_ticks(self, values: Array, agreement: Array | None = None) -> None:
         """Adds to the noise what the drives' own ticks do to the motion at these values (K,).
 
-        Within one a drive stops anywhere. The model's ticks and the rig's lie at different phases, so each of the two
-        moves the motion by that much.
+        Within one a drive stops anywhere. As long as nothing is known of the phases at which the model's ticks and the
+        rig's lie, each of the two moves the motion by that much.
+
+        Args:
+            agreement: for each signal the share of what the model's ticks do to it that the rig's do as well.
         """
-        exact, smooth = self.levels["exact"], self.levels["fine"].model
-        if smooth.values() == exact.model.values():
+        moved = self._by_ticks(values)
+        if moved is None:
             return
-        without = exact.of(smooth)
-        moved = np.nan_to_num((exact(values[None]) - without(values[None]))[0, self.used])
-        self.evaluations += 2
         each = np.bincount(self.blocks, moved**2) / np.maximum(np.bincount(self.blocks), 1)
-        scale = np.sqrt(self._noise**2 + 2.0 * each[self.blocks])
+        differ = 1.0 - (np.zeros(len(self.evidence.signals)) if agreement is None else agreement)
+        scale = np.sqrt(self._noise**2 + 2.0 * differ[self.signal] * each[self.blocks])
         self._shift *= self.scale / scale
         self.scale = scale
+
+    def ticks_agree(self, refit: Refit, folds: NDArray[np.int64]) -> Array:
+        """For each signal the share of what the model's ticks do to it at a refit that the rig's do as well.
+
+        It is told as far as it is sure, and never all of it, for a rig's ticks are shaken by its noise.
+
+        Args:
+            folds: (R,) stretch of time of each residual, which are drawn as one.
+        """
+        found = np.zeros(len(self.evidence.signals))
+        moved = self._by_ticks(refit.values)
+        if moved is None:
+            return found
+        moved = moved / self.scale
+        smooth = self.residuals(refit.values[None], "exact")[0] - moved
+        for number in np.unique(self.signal):
+            here = self.signal == number
+            along, size = np.bincount(folds[here], -(smooth * moved)[here]), np.bincount(folds[here], moved[here] ** 2)
+            if size.sum() > 0.0:
+                share = along.sum() / size.sum()
+                deviation = float(np.sqrt(np.sum((along - share * size) ** 2))) / size.sum()
+                found[number] = np.clip(share - SURE * deviation, 0.0, MOST_AGREED)
+        return found
+
+    def _by_ticks(self, values: Array) -> Array | None:
+        """(R,) by which the drives' ticks move the signals at these values (K,), in their units; None without ticks."""
+        exact, smooth = self.levels["exact"], self.levels["fine"].model
+        if smooth.values() == exact.model.values():
+            return None
+        self.evaluations += 2
+        both = np.vstack([exact(values[None]), exact.of(smooth)(values[None])])[:, self.used]
+        return np.asarray(np.nan_to_num(both[0] - both[1]))
 
     def settle_start(self, refit: Refit, joints: Sequence[Sequence[str]]) -> None:
         """Moves the pose in which each play starts to where a refit says that it was, as far as its sensors allow.
