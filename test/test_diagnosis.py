@@ -191,6 +191,8 @@ def test_the_commands_write_what_they_promise(tmp_path: Path) -> None:
     promised += "alikeness_before alikeness_after next_experiment seed evaluations seconds"
     assert set(promised.split()) <= set(content)
     assert content["effects"] == ["gravity_load.x"]
+    low, high = content["intervals"]["gravity_load.x.moment"]
+    assert low < content["values"]["gravity_load.x.moment"] < high
     page = (tmp_path / "why" / "report.html").read_text()
     assert "gravity load" in page and "add-effect gravity_load.x" in page
     assert main(["add-effect", "gravity_load.x", *reading, "--out", str(tmp_path / "m2.yaml")]) == 0
