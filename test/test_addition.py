@@ -78,7 +78,7 @@ def test_a_fit_that_has_not_converged_is_told() -> None:
     still = replace(diagnosis, axes=(replace(axis, refits=tuple(replace(r, converged=False) for r in axis.refits)),))
     added = addition_of(still, [name], [play])
     told = f"The fit of {name} has not converged: other values may fit better."
-    assert added.doubts[-1] == told and told in added.sentence
+    assert added.doubts[-1] == told and told in added.sentences
     assert not any("converged" in text for text in addition_of(still, [], [play]).doubts), "the values alone are no fit"
 
 
@@ -102,7 +102,7 @@ def test_values_at_their_bounds_are_told() -> None:
     assert at
     assert all(any(text.startswith(f"{n} lies at its bound") for text in added.doubts) for n in at)
     assert not any(text.startswith("drive.x.back_emf") for text in added.doubts), "it stays as stated"
-    assert added.doubts[-1] in added.sentence
+    assert added.doubts[-1] in added.sentences
 
 
 def test_what_cannot_be_added_is_refused_before_anything_is_fitted() -> None:

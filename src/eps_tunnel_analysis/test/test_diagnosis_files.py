@@ -10,7 +10,7 @@ from small_recordings import record, write_rig
 
 from eps_tunnel_analysis.diagnose.addition import addition_of
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
-from eps_tunnel_analysis.diagnose.falls import addition_recordings, addition_sentences, fall_sentences
+from eps_tunnel_analysis.diagnose.falls import fall_sentences
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
 from eps_tunnel_analysis.loop.experimenter import Added, Ending, Stair
 from eps_tunnel_analysis.loop.notebook import Notebook, addition_page, ending_page
@@ -91,8 +91,8 @@ def test_what_a_sledge_is_off_by_is_a_length_in_terminal_and_report(found: Findi
 
 def test_what_a_sledge_is_off_by_is_a_length_in_a_notebook(found: Findings, tmp_path: Path) -> None:
     addition = addition_of(found.diagnosis, (EFFECT,), found.recorded.plays)
-    assert [one.unit for one in addition_recordings(addition)] == ["m"]
-    assert any("Alikeness" in line for line in addition_sentences(addition))
+    assert [one.unit for one in addition.recordings] == ["m"]
+    assert any("Alikeness" in line for line in addition.sentences)
     notebook, model = Notebook(tmp_path, "A sledge"), tmp_path / "m.yaml"
     pages = addition_page(Added(addition, "friction", "", model), notebook)
     reason = Reason(found.diagnosis, found.recorded, {}, tmp_path)

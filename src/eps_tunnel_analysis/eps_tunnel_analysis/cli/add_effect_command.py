@@ -31,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    from eps_tunnel_analysis.diagnose.falls import addition_sentences
     from eps_tunnel_analysis.loop.reason import add_to_model
     from eps_tunnel_analysis.report.next_step import after_addition
 
@@ -40,7 +39,7 @@ def run(arguments: argparse.Namespace) -> None:
         added, recorded = add_to_model(
             arguments.model, arguments.real, arguments.names, out, diagnosis_options(arguments), progress
         )
-    said = addition_sentences(added)
+    said = added.sentences
     if arguments.json:
         print(json_text({"model": str(out), **added.to_json(), "sentence": " ".join(said)}), end="")
         return

@@ -66,7 +66,6 @@ def run(arguments: argparse.Namespace) -> int | None:
 
 
 def _improve(arguments: argparse.Namespace) -> None:
-    from eps_tunnel_analysis.diagnose.falls import addition_sentences
     from eps_tunnel_analysis.loop.experimenter import Added, Ending, Experimenter, Plan, heading
     from eps_tunnel_analysis.report.next_step import compare_with
 
@@ -80,7 +79,7 @@ def _improve(arguments: argparse.Namespace) -> None:
         for step in Experimenter(plan, arguments.out, progress=lambda: rollout_progress(arguments.progress)).steps():
             out.print(heading(step), soft_wrap=True, markup=False)
             if isinstance(step, Added):
-                said = addition_sentences(step.addition)
+                said = step.addition.sentences
                 out.print(" ".join(filter(None, (step.why, *said))), soft_wrap=True, markup=False)
                 print_recordings(out, step.addition.plays, step.addition.model.rig.position_unit)
     finally:

@@ -14,7 +14,7 @@ from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors
-from eps_tunnel_analysis.diagnose.falls import Three, fall_sentences
+from eps_tunnel_analysis.diagnose.falls import RecordingErrors, Three, by_recording, fall_sentences
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
@@ -63,10 +63,16 @@ class Addition:
         return self.given, self.before, self.after
 
     @property
-    def sentence(self) -> str:
-        """Whether it helped, and what is doubtful, in words."""
-        falls = fall_sentences(self.errors, self.plays, self.unit, self.itself) if self.effects else ()
-        return " ".join([*falls, *self.doubts])
+    def sentences(self) -> list[str]:
+        """What it did to the error, in the rig's unit or the ball's, and what is doubtful about it."""
+        ball = self.unit != self.model.rig.position_unit
+        falls = fall_sentences(self.errors, self.plays, self.unit, self.itself, ball) if self.effects else []
+        return [*falls, *self.doubts]
+
+    @property
+    def recordings(self) -> list[RecordingErrors]:
+        """One entry a recording, in the rig's unit, the one that fared worst first."""
+        return by_recording(self.plays, self.model.rig.position_unit)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -80,7 +86,7 @@ class Addition:
             "values": dict(self.values),
             "intervals": plain(intervals_json(self.intervals)),
             "doubts": list(self.doubts),
-            "sentence": self.sentence,
+            "sentence": " ".join(self.sentences),
         }
 
 
@@ -140,7 +146,7 @@ def addition_of(
         final = with_refits(diagnosis.base_model, axes, chosen)
         near, far = (compared(final, p if v.ball else [without_ball(q) for q in p]) for p in (plays, held))
         after = errors_of(near, far, None if rolls else left_out_error(on_axes, chosen), unit)
-        (last,) = play_errors(plays, held, [near], [far])
+        (last,) = play_errors(plays, held, [near], [far], diagnosis.model.rig.position_unit)
     given, before = v.ball[:2] if rolls else (v.given, v.before)
     values = final.values()
     fitted = [n for axis in axes for n in (*axis.part.base, *(p for c in axis.own(chosen) for p in c.parameters))]

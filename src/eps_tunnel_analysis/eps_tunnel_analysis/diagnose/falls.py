@@ -8,13 +8,9 @@ of them get worse.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
 from eps_tunnel_analysis.outputs import shown_share, shown_value
-
-if TYPE_CHECKING:
-    from eps_tunnel_analysis.diagnose.addition import Addition
 
 LISTED = 3  # recordings that got worse
 
@@ -104,18 +100,6 @@ def fall_sentences(
     if after.held_out >= refitted.held_out:
         said.append("It does not help beyond refitted values on what was not fitted: leave it out.")
     return said
-
-
-def addition_sentences(added: "Addition") -> list[str]:
-    """What added effects did to the error, in the rig's unit or the ball's, and what is doubtful about them."""
-    ball = added.unit != added.model.rig.position_unit
-    falls = fall_sentences(added.errors, added.plays, added.unit, added.itself, ball) if added.effects else []
-    return [*falls, *added.doubts]
-
-
-def addition_recordings(added: "Addition") -> list[RecordingErrors]:
-    """One entry a recording, in the rig's unit, the one that fared worst first."""
-    return by_recording(added.plays, added.model.rig.position_unit)
 
 
 def of_rig(itself: float) -> str:

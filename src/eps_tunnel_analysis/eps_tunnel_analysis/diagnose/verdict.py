@@ -14,6 +14,7 @@ from labyrinth_sim.shown import shown
 Kind = Literal["complete", "effect", "undecided", "unknown"]
 CLEAR = 0.9  # probability from which one effect on one axis is stated by itself
 WORTH_TELLING = 0.2  # of an axis's misfit
+NAMES = ("Coulomb", "LuGre", "Stribeck")  # in titles, that keep their capitals
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,8 @@ def in_words(name: str, registry: Registry) -> str:
     """A candidate as people say it: "backlash on x"."""
     effect, _, place = name.partition(".")
     title = registry.effects[effect].title if effect in registry.effects else effect
-    return f"{title[0].lower()}{title[1:]} on {'the ball' if place == 'ball' else place}"
+    words = title if title.startswith(NAMES) else f"{title[0].lower()}{title[1:]}"
+    return f"{words} on {'the ball' if place == 'ball' else place}"
 
 
 def _hypothesis(name: str, registry: Registry) -> str:

@@ -258,7 +258,7 @@ def _missing_json(missing: MissingForce) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _Attempt:
     """A formula or a free curve, refitted."""
 
     kind: str
@@ -313,7 +313,7 @@ def propose(
                     offsets=offsets, trials=trials,
                     curve_band=tuple(half_widths(design, columns).tolist()))  # fmt: skip
     run = SearchOptions((), nthread)
-    tried: list[_Tried] = []
+    tried: list[_Attempt] = []
     for law in laws:
         effect = declared(effect_file(law.terms, sensor is not None))
         lib = _library(model, part, effect, first.place)
@@ -353,7 +353,7 @@ def _equation(law: Formula) -> str:
     return " + ".join(c.term.equation for c in law.terms)
 
 
-def _best(tried: Sequence[_Tried]) -> _Tried | None:
+def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
     """The formula that leaves least where left out; of those that leave hardly more, the one of fewest numbers."""
     predicts = [t for t in tried if np.isfinite(t.refit.held_out)]  # NaN of one that diverges
     if not predicts:
@@ -364,7 +364,7 @@ def _best(tried: Sequence[_Tried]) -> _Tried | None:
 
 
 def _ranked(
-    best: _Tried, before: Hypothesis, plays: Sequence[Play], terms: int, beside: AxisDiagnosis | None
+    best: _Attempt, before: Hypothesis, plays: Sequence[Play], terms: int, beside: AxisDiagnosis | None
 ) -> dict[str, float]:  # fmt: skip
     """Probabilities of the proposal, of none and unknown, and of the diagnosis's best sets if of the same samples."""
     search = best.search
@@ -477,7 +477,7 @@ def _library(model: Model, part: AxisPart, effect: Effect, place: str) -> Librar
 def _refitted(
     kind: str, law: Formula, lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOptions,
     start: Mapping[str, float],
-) -> _Tried:  # fmt: skip
+) -> _Attempt:  # fmt: skip
     """A library's one candidate in roll-outs, from start values."""
     search = search_of(lib, plays, part, run)
     own = lib.candidates[0]
@@ -498,7 +498,7 @@ def _refitted(
     known = lib.model.parameters()
     judged = hypothesis(search, refit)
     found = Refitted(fitted, intervals, {name: known[name].unit for name in fitted}, refit.cost, judged.cost)
-    return _Tried(kind, own.name, law, found, _with(lib.model, own, part, fitted), judged, search)
+    return _Attempt(kind, own.name, law, found, _with(lib.model, own, part, fitted), judged, search)
 
 
 def _with(model: Model, own: Candidate, part: AxisPart, fitted: Mapping[str, float]) -> Model:

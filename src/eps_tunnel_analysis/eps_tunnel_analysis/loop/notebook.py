@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, addition_recordings, addition_sentences
+from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS
 from eps_tunnel_analysis.loop.experimenter import Added, Ending, Played, Step, Tested, heading
 from eps_tunnel_analysis.loop.gap import RigFailed
 from eps_tunnel_analysis.loop.reason import Reason
@@ -24,7 +24,7 @@ from eps_tunnel_analysis.report.pictures import (
 from labyrinth_sim.whole_file import write_anew
 
 NOTEBOOK_FILE = "notebook.md"
-MOST = 3  # sentences on where it fails
+MOST_SENTENCES = 3  # sentences on where it fails
 
 
 class Notebook:
@@ -118,7 +118,7 @@ def gap_page(played: Played, notebook: Notebook) -> list[str]:
     columns = ("signal", "error E", "rig repeats within", *(f"alike, k = {a.k_real:g}" for a in c.alikeness))
     return [
         markdown_table(columns, rows),
-        "\n".join(f"- {sentence}" for sentence in [*sentences(c.where)[:MOST], *gap.notes]),
+        "\n".join(f"- {sentence}" for sentence in [*sentences(c.where)[:MOST_SENTENCES], *gap.notes]),
         notebook.picture(gap_picture(c), "gap", "simulation in the tunnel of the real trials"),
         notebook.link("report", played.report),
     ]
@@ -145,8 +145,8 @@ def addition_page(added: Added, notebook: Notebook) -> list[str]:
     return [
         added.why,
         markdown_table(("parameter", "value"), rows),
-        " ".join(addition_sentences(addition)),
-        markdown_table(RECORDING_COLUMNS, [one.row for one in addition_recordings(addition)]),
+        " ".join(addition.sentences),
+        markdown_table(RECORDING_COLUMNS, [one.row for one in addition.recordings]),
         f"Loaded into the simulation: {notebook.link(added.file.name, added.file)}",
     ]
 

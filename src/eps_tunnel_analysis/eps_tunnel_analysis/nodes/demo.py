@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
-from eps_tunnel_analysis.diagnose.falls import addition_sentences, of_rig
+from eps_tunnel_analysis.diagnose.falls import of_rig
 from eps_tunnel_analysis.loop.experimenter import Added, Experimenter, Plan, Played, judged
 from eps_tunnel_analysis.loop.gap import Bags, Gap, RigFailed
 from eps_tunnel_analysis.loop.reason import DiagnosisOptions, Reason
@@ -100,7 +100,7 @@ def _what_to_do(added: Added, reason: Reason, bags: Bags, model: str) -> str:
     by_hand = next_commands(added.addition.effects, reason.recorded, bags.real, model, reason.folder)[1]
     careful = f" A careful experimenter plays {reason.folder / 'next_experiment.yaml'} first, as eps-tunnel improve " \
         "--live does." if added.why and reason.diagnosis.experiment else ""  # fmt: skip
-    said = " ".join(addition_sentences(added.addition))
+    said = " ".join(added.addition.sentences)
     return f"{added.words} is added. {added.why}{careful} {said} By hand: {by_hand}"
 
 
