@@ -42,7 +42,7 @@ FINEST = 4e-4  # s, of MuJoCo's steps
 STANDS = 0.1  # floors by which half the step may change an answer that stands
 UNFELT = 0.02  # floors
 FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
-SURE = 2.0  # deviations
+SURELY = 2.0  # deviations by which ticks must agree
 MOST_AGREED = 0.9
 ROUGH = (
     0.2  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
@@ -215,7 +215,7 @@ class Search:
             if size.sum() > 0.0:
                 share = along.sum() / size.sum()
                 deviation = float(np.sqrt(np.sum((along - share * size) ** 2))) / size.sum()
-                found[number] = np.clip(share - SURE * deviation, 0.0, MOST_AGREED)
+                found[number] = np.clip(share - SURELY * deviation, 0.0, MOST_AGREED)
         return found
 
     def _by_ticks(self, values: Array) -> Array | None:
