@@ -24,6 +24,15 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     "eps_tunnel_analysis": ({"labyrinth_sim"}, {"labyrinth_sim", "labyrinth_msgs"}),
 }
 
+# Of constants that have one name and several values, those that are still to be told apart.
+SHARED_NAMES = {
+    "AGAIN", "ALIKE", "AT_ONCE", "BEYOND", "ENOUGH", "FARTHEST", "FASTEST", "FEWEST", "LATE", "LEAST", "LISTED",
+    "MARGIN", "NEAR", "PAIRED", "ROUGH", "ROWS", "SAME", "SETTLED", "SLOWEST", "SMALL", "STANDS", "STEADY", "STEP",
+    "STILL", "SURE", "VISIBLE",
+}  # fmt: skip
+# Imports against the order of the floors that are still to go: (module, folder).
+UPWARDS = {("fit.discrepancy", "diagnose"), ("fit.named_intervals", "diagnose"), ("fit.from_bags", "values")}
+
 
 @cache
 def modules(package: str) -> list[Path]:
@@ -183,6 +192,54 @@ def test_a_name_stands_for_one_class(package: str) -> None:
         if isinstance(node, ast.ClassDef)
     )
     assert repeated(classes) == {}
+
+
+def numeric(node: ast.expr) -> bool:
+    """Whether an expression is made of numbers only, as 2**63 - 1."""
+    leaves = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop)
+    parts = list(ast.walk(node))
+    constants = [part.value for part in parts if isinstance(part, ast.Constant)]
+    return all(isinstance(part, leaves) for part in parts) and all(type(c) in (int, float) for c in constants)
+
+
+def constants(package: str) -> Iterator[tuple[str, float, str]]:
+    """(name, value, where) of every public constant that is one number."""
+    for file in modules(package):
+        for node in tree(file).body:
+            for target in node.targets if isinstance(node, ast.Assign) else ():
+                pairs = [(target, node.value)]
+                if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
+                    pairs = list(zip(target.elts, node.value.elts, strict=True))
+                for name, value in pairs:
+                    if isinstance(name, ast.Name) and name.id.isupper() and name.id[0] != "_" and numeric(value):
+                        number = eval(compile(ast.Expression(value), str(file), "eval"))
+                        yield name.id, float(number), str(file.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_name_stands_for_one_number(package: str) -> None:
+    places: dict[str, dict[float, str]] = {}
+    for name, value, where in constants(package):
+        places.setdefault(name, {}).setdefault(value, where)
+    assert {name: v for name, v in places.items() if len(v) > 1 and name not in SHARED_NAMES} == {}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_folders_import_each_other(package: str) -> None:
+    """Neither at once nor by way of others; the modules beside the folders belong to none."""
+    folders = {file.parent.name for file in modules(package)} - {package}
+    needs: dict[str, set[str]] = {}
+    for file in modules(package):
+        own = file.parent.name
+        short = name_of(file, package).removeprefix(f"{package}.")
+        for module, _ in imports_within(file, package):
+            other = f"{module}.".split(".")[1]
+            if own in folders and other in folders and own != other and (short, other) not in UPWARDS:
+                needs.setdefault(own, set()).add(other)
+    try:
+        tuple(TopologicalSorter(needs).static_order())
+    except CycleError as error:
+        pytest.fail(f"import cycle: {' -> '.join(error.args[1])}")
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -23,7 +23,7 @@ from labyrinth_sim.trials import Array, Trials
 
 RELEARN = 50  # samples; the usual step between stamps is learned from that many
 SECOND = 1_000_000_000  # ns
-MEMORY = 2.0
+KEPT_SECONDS = 2.0
 """s of samples kept, for a start mark that comes after the samples it begins with"""
 LARGEST = 1e12  # of any signal, SI; sums and squares of larger numbers are soon none
 REAL, SIM = "real", "sim"
@@ -158,7 +158,7 @@ class Stream:
         if stamp <= self.newest:
             return False
         self.recent.append((stamp, values))
-        while len(self.recent) > 2 and self.recent[1][0] < stamp - MEMORY * SECOND:
+        while len(self.recent) > 2 and self.recent[1][0] < stamp - KEPT_SECONDS * SECOND:
             self.recent.popleft()
         return True
 

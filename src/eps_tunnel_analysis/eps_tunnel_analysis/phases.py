@@ -17,7 +17,7 @@ from labyrinth_sim.trials import Array, Trials
 SETTLE = 0.5  # s after the command stopped during which the rig is still taken to be on its way
 REVERSAL = 0.25  # s after the command turned round
 STEP_SHARE = 0.25  # share of a motion; a start further than this from the first target was a step to it
-STILL = 0.01  # share of the command's range within which two poses count as the same
+SAME_POSE = 0.01  # share of the command's range within which two poses count as the same
 
 MEANING = {
     "moving": f"the command moves, or moved less than {SETTLE:g} s ago",
@@ -30,8 +30,8 @@ MEANING = {
 MOVING = ("moving", "reversal")
 LENGTHS = ("m", "m/s")
 CROSSWISE = dict(zip(BALL_SIGNALS, BALL_SIGNALS[::-1], strict=True))
-UNEVEN = 0.05  # error share beyond the time share from which a phase is told
-STANDS = 1e-9  # SI units; a signal with a smaller range stands still, and its error is taken as it is
+EXCESS = 0.05  # error share beyond the time share from which a phase is told
+NO_RANGE = 1e-9  # SI units; a signal with a smaller range stands still, and its error is taken as it is
 NOWHERE = "Nowhere beyond what the rig itself repeats."
 MOST_AMPLITUDES = 6  # more than these are put into as many equal classes
 
@@ -97,7 +97,7 @@ def phases(time: Array, command: Array, before: float = np.nan) -> Phases:
     if sent.any():
         held = command[np.maximum.accumulate(np.where(sent, np.arange(t), np.argmax(sent)))]
         held = np.concatenate([[before if np.isfinite(before) else held[0]], held])
-        same = STILL * float(np.ptp(held))
+        same = SAME_POSE * float(np.ptp(held))
         phase[:] = np.where(np.abs(held - held[0]) <= same, "rest", "hold")
         settle, turn = round(SETTLE / step), round(REVERSAL / step)
         last: _Motion | None = None
@@ -227,10 +227,10 @@ def sentences(misfits: Iterable[Misfit], most: int = 3) -> tuple[str, ...]:
     known = all(m.repeat_rms > 0 for m in axes)
     named: list[tuple[float, str]] = []
     for axis in axes:
-        phases = [m for m in rows if (m.kind, m.signal) == ("phase and direction", axis.signal) and m.excess > UNEVEN]
+        phases = [m for m in rows if (m.kind, m.signal) == ("phase and direction", axis.signal) and m.excess > EXCESS]
         named += [(m.times if known else axis.error_share * m.excess, _sentence(m)) for m in phases]
         if not phases:
-            named.append((axis.times if known else axis.error_share * UNEVEN, _even(axis)))
+            named.append((axis.times if known else axis.error_share * EXCESS, _even(axis)))
     beyond = [pair for pair in named if pair[0] > 1] if known else named
     if named and not beyond:
         return (NOWHERE,)
@@ -318,7 +318,7 @@ def _axis_misfits(real: Trials, error: Array, measured: Array, spread: Sequence[
     for i in range(len(real.signals)):
         if seen[:, i].any():
             span = float(np.ptp(measured[seen[:, i], i]))
-            unit = spread[i] if known else span if span > STANDS else 1.0
+            unit = spread[i] if known else span if span > NO_RANGE else 1.0
             weighed[i] = float(np.sum((error[seen[:, i], i] / unit) ** 2))
     total, count = math.fsum(weighed.values()), int(seen.sum())
     rows = []

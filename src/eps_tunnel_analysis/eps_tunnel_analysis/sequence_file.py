@@ -27,7 +27,7 @@ ENDINGS = {
     "1": {"": 1.0},
 }
 LONGEST_COMMAND = 4 * 3600.0  # s
-MOST_TRIALS = 10_000
+MOST_TRIALS_WRITTEN = 10_000
 
 
 class _Key(Entry):
@@ -40,7 +40,7 @@ class _SequenceFile(_Key):
     initial_mm: dict[str, float] | None = None
     initial: dict[str, float] | None = None
     ratio: dict[str, Annotated[float, Field(gt=0.0, le=1e3)]] | None = None
-    trials: int = Field(1, ge=1, le=MOST_TRIALS)
+    trials: int = Field(1, ge=1, le=MOST_TRIALS_WRITTEN)
     command: dict[str, Any] | None = None
     commands: dict[str, Any] | None = None
 

@@ -20,12 +20,12 @@ from labyrinth_sim.simulate import even_timestep, simulate_batch
 from labyrinth_sim.trials import Array, Trials
 
 COMMAND_JITTER = 2  # samples by which the commands of trials may be early or late and still be the same
-ALIKE = 0.99  # share of the samples that must agree, and
-WITHIN = 0.01  # by how much, of the command's range
+SENT_ALIKE = 0.99  # share of the samples that must agree, and
+SENT_WITHIN = 0.01  # by how much, of the command's range
 AT_REST = 0.1  # s, in which an axis that rests as a play begins
-STILL = 0.003  # of its range, moves less than this
+RESTING = 0.003  # of its range, moves less than this
 HELD_WITHIN = 0.25  # of its range; a command that is further away than that moves it, however late
-MEMORY = 2e8  # bytes of roll-outs on the fine grid that are held at once
+ROLLOUT_BYTES = 2e8  # bytes of roll-outs on the fine grid that are held at once
 
 
 class Diverged(InputError):
@@ -94,7 +94,7 @@ class Rollouts:
         """
         parts, why, chosen = [], "", tuple[str, ...]()
         size = len(signals) if signals is not None else len(model.rig.signals)
-        rows = max(1, int(MEMORY / (8 * self.commands.shape[0] * len(self.time) * max(size, 1))))
+        rows = max(1, int(ROLLOUT_BYTES / (8 * self.commands.shape[0] * len(self.time) * max(size, 1))))
         for low in range(0, len(values), rows):
             result = simulate_batch(
                 model, names, values[low : low + rows], self.time, self.commands, self.initial,
@@ -200,7 +200,7 @@ def _rests(axis: Axis, trial: StampedTrial) -> bool:
     until = command.time[0] + AT_REST if not len(others) else min(command.time[0] + AT_REST, command.time[others[0]])
     early = measured.values[measured.time <= until]
     half = len(early) // 2
-    return half < 2 or abs(float(np.median(early[:half]) - np.median(early[half:]))) < STILL * span
+    return half < 2 or abs(float(np.median(early[:half]) - np.median(early[half:]))) < RESTING * span
 
 
 def _answered_together(model: Model, play: Play) -> list[tuple[StampedTrial, ...]]:
@@ -225,13 +225,13 @@ def same_commands(commands: Array) -> bool:
     """Whether the commands (p, T, u) of p trials agree but for jitter in time."""
     shared = commands[:1]
     held = np.where(np.isfinite(commands), commands, 0.0)
-    margin = WITHIN * np.ptp(held[0], axis=0) + 1e-9
+    margin = SENT_WITHIN * np.ptp(held[0], axis=0) + 1e-9
     padded = np.pad(held[0], ((COMMAND_JITTER, COMMAND_JITTER), (0, 0)), mode="edge")
     near = np.lib.stride_tricks.sliding_window_view(padded, 2 * COMMAND_JITTER + 1, axis=0)  # (T, u, window)
     low, high = near.min(axis=-1) - margin, near.max(axis=-1) + margin
     agree = (held >= low) & (held <= high)
     sent = np.isfinite(commands) == np.isfinite(shared)
-    return bool(np.mean(agree & sent) >= ALIKE)
+    return bool(np.mean(agree & sent) >= SENT_ALIKE)
 
 
 def known_values(model: Model, plays: Sequence[Play]) -> dict[str, Array]:

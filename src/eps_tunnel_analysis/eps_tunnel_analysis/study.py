@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 Named = str | Path
 """A file or a folder."""
-WIDE = 140  # characters of a line where tables have many columns
+WIDE_LINE = 140  # characters of a line where tables have many columns
 
 
 def load(
@@ -461,7 +461,7 @@ class StudyFit:
         print_calibration(self.calibration.result, self.calibration.notes, out)
 
     def __str__(self) -> str:
-        return text_of(self._print, WIDE)
+        return text_of(self._print, WIDE_LINE)
 
     def _repr_html_(self) -> str:
         return f'<pre style="white-space:pre-wrap">{escape(str(self))}</pre>'

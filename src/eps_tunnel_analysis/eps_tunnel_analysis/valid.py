@@ -15,7 +15,7 @@ POSITIONS = ("rad", "m")
 EFFORTS = ("N m", "N")
 SPEED_OVER = 0.05  # s over which a speed is taken: what ticks and noise make of shorter ones is no motion
 LOAD_SHARE = 0.99  # of the time, within which an effort counts: what is beyond are single samples after steps
-ROOM = 0.05  # of a range, by which it may be left unnoticed
+LEFT_BY = 0.05  # of a range, by which it may be left unnoticed
 
 
 def ranges(real: Sequence[Trials], sim: Sequence[Trials]) -> dict[str, ShownSignal]:
@@ -47,12 +47,12 @@ def beyond(model: Model, real: Trials, sim: Trials) -> tuple[str, ...]:
         shown = model.valid.signals.get(name)
         if shown is None:
             continue
-        room = ROOM * (shown.high - shown.low)
+        room = LEFT_BY * (shown.high - shown.low)
         said = []
         if here.low < shown.low - room or here.high > shown.high + room:
             low, high, from_, to = (shown_value(v, here.unit) for v in (here.low, here.high, shown.low, shown.high))
             said.append(f"goes from {low} to {high}, shown from {from_} to {to}")
-        if here.speed is not None and shown.speed is not None and here.speed > (1.0 + ROOM) * shown.speed:
+        if here.speed is not None and shown.speed is not None and here.speed > (1.0 + LEFT_BY) * shown.speed:
             fast, known = (shown_value(v, f"{here.unit}/s") for v in (here.speed, shown.speed))
             said.append(f"moves at up to {fast}, shown up to {known}")
         if said:

@@ -16,7 +16,7 @@ from labyrinth_sim.trials import Array
 
 ACTS_ON = {"axis": "each axis", "signal": "each measured angle", "ball": "the ball"}
 COUPLED = ", by how the others move"
-WIDTH = 520
+PICTURE_WIDTH = 520
 DASHED = 'stroke="#555" stroke-width="0.8" stroke-dasharray="4 3"'
 GREY = 'stroke="#999" stroke-width="1.5"'
 RED = 'stroke="#c0392b" stroke-width="1.5"'
@@ -121,7 +121,7 @@ def _column(effect: Effect, place: str, ball: bool) -> str:
 
 def _svg(panels: Sequence[tuple[str, list[tuple[Array, str]], int]], time: Array) -> str:
     """Panels of (title, curves, height) under one another, each with its own scale, over one time axis in s."""
-    left, right, top, parts = 58, WIDTH - 8, 0, []
+    left, right, top, parts = 58, PICTURE_WIDTH - 8, 0, []
     for title, curves, height in panels:
         low, high = min(float(c.min()) for c, _ in curves), max(float(c.max()) for c, _ in curves)
         middle, half = (low + high) / 2, max((high - low) / 2, 1e-6)
@@ -147,7 +147,7 @@ def _svg(panels: Sequence[tuple[str, list[tuple[Array, str]], int]], time: Array
             np.interp([0, 1, 2, 3], time[[0, -1]], [left, right]),
             ("0", "1", "2", "3 s"), ("middle", "middle", "middle", "end"), strict=True)
     ]  # fmt: skip
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{top + 20}">'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{PICTURE_WIDTH}" height="{top + 20}">'
     return "\n".join([head, '<rect width="100%" height="100%" fill="white"/>', *parts, "</svg>\n"])
 
 

@@ -21,7 +21,7 @@ from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array, Trials
 
 CHUNK = 4096  # simulations stepped together, and
-MEMORY = 2e8  # bytes of what is recorded of them; bound the memory of a large batch
+BATCH_BYTES = 2e8  # bytes of what is recorded of them; bound the memory of a large batch
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def simulate_batch(
     every_number |= {name: table[sets, column] for column, name in enumerate(names)}
     every_number |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
     holds = np.zeros((c, block.shape[2]), dtype=bool) if resting is None else np.asarray(resting, dtype=bool)
-    chunk = int(np.clip(MEMORY / (8 * len(grid) * (len(every) + block.shape[2])), 1, CHUNK))
+    chunk = int(np.clip(BATCH_BYTES / (8 * len(grid) * (len(every) + block.shape[2])), 1, CHUNK))
     for which in _groups(plan, every_number, n * c, chunk):
         numbers = {name: given[which] for name, given in every_number.items()}
         first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays[which]] for name, v in (initial or {}).items()}

@@ -18,7 +18,7 @@ from labyrinth_sim.config import find
 from labyrinth_sim.errors import InputError, unknown_name
 
 LARGEST = 1 << 20  # bytes of a file
-MOST_VALUES = 20_000  # in a file, those that aliases repeat included; of long text each VALUE characters are one
+MOST_FILE_VALUES = 20_000  # in a file, those that aliases repeat included; of long text each VALUE characters are one
 VALUE = 64  # characters
 DEEPEST = 40  # mappings and lists within each other
 LONGEST_NUMBER = 40  # characters
@@ -320,8 +320,8 @@ def _check_bounds(text: str, source: str) -> None:
             unfinished[-1] = (anchor, before, max(inner, levels))
         if len(unfinished) + levels > DEEPEST:
             raise InputError(f"{line}: more than {DEEPEST} mappings and lists within each other.")
-        if total > MOST_VALUES:
-            raise InputError(f"{line}: more than {MOST_VALUES} values, those that aliases repeat included.")
+        if total > MOST_FILE_VALUES:
+            raise InputError(f"{line}: more than {MOST_FILE_VALUES} values, those that aliases repeat included.")
 
 
 def _construct(node: yaml.Node, source: str, where: Where, lines: dict[Where, int]) -> Any:

@@ -20,7 +20,7 @@ TRUST = 1e-12
 LEAST_DAMPED = 1e-3  # damping of the step whose gain the slopes promise
 LEAST_PROMISE = 10.0  # times the tolerance, for which slopes that led nowhere are taken again, by the simulator
 RESCALED = 10.0  # times by which a finite difference grows or shrinks from round to round, at most
-SMALLEST, LARGEST = 1e-6, 0.05  # finite differences, normalised
+SMALLEST_STEP, LARGEST_STEP = 1e-6, 0.05  # finite differences, normalised
 
 #: (n, K) normalised values and (n,) the problem each row belongs to -> (n, R) residuals, NaN rows where diverged.
 BatchResiduals = Callable[[Array, NDArray[np.int64]], Array]
@@ -164,7 +164,7 @@ def _adapted(steps: Array, slopes: Array, response: float) -> Array:
     """(k,) finite differences that change residuals with slopes (R, k) by about `response`."""
     change = np.sqrt(np.mean(slopes**2, axis=0)) * steps
     factors = response / np.maximum(change, 1e-12)
-    return np.asarray(np.clip(steps * np.clip(factors, 1.0 / RESCALED, RESCALED), SMALLEST, LARGEST))
+    return np.asarray(np.clip(steps * np.clip(factors, 1.0 / RESCALED, RESCALED), SMALLEST_STEP, LARGEST_STEP))
 
 
 def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], damping: float) -> Array:

@@ -9,8 +9,8 @@ from typing import Any
 
 from labyrinth_sim.errors import InputError, unknown_name
 
-MOST_TRIALS = 1000
-MOST_EFFECTS = 20
+MOST_TRIALS_ASKED = 1000
+MOST_ADDED = 20
 LONGEST_NAME = 1000  # characters; the path of a proposed experiment is a name too
 LONGEST_REQUEST = 10_000  # characters of a message
 LARGEST = 1e12  # size of a number; what JSON calls NaN or Infinity is none
@@ -87,15 +87,15 @@ def parse_request(text: str | bytes) -> Request:
 
 def _play(content: Mapping[str, Any]) -> PlayRequest:
     trials = content.get("trials", 0)
-    if isinstance(trials, bool) or not isinstance(trials, int) or not 0 <= trials <= MOST_TRIALS:
-        raise InputError(f'"trials" must be a whole number from 0 to {MOST_TRIALS}, got {trials!r:.200}.')
+    if isinstance(trials, bool) or not isinstance(trials, int) or not 0 <= trials <= MOST_TRIALS_ASKED:
+        raise InputError(f'"trials" must be a whole number from 0 to {MOST_TRIALS_ASKED}, got {trials!r:.200}.')
     return PlayRequest(_word(content, "sequence"), trials)
 
 
 def _add(content: Mapping[str, Any]) -> AddRequest:
     names = content.get("names")
-    if not isinstance(names, list) or not 0 < len(names) <= MOST_EFFECTS or not all(map(_is_effect, names)):
-        raise InputError(f'"names" must be a list of up to {MOST_EFFECTS} effects as backlash.x, got {names!r:.200}.')
+    if not isinstance(names, list) or not 0 < len(names) <= MOST_ADDED or not all(map(_is_effect, names)):
+        raise InputError(f'"names" must be a list of up to {MOST_ADDED} effects as backlash.x, got {names!r:.200}.')
     return AddRequest(tuple(names))
 
 

@@ -38,9 +38,9 @@ from eps_tunnel_analysis.monitor.state import (
     BEFORE,
     BY_HAND,
     COLLECTING,
-    LEAST_TRIALS,
+    NOT_SEEN,
     SIMULATED,
-    UNSEEN,
+    TUNNEL_TRIALS,
     State,
     Steps,
     told_rows,
@@ -510,8 +510,8 @@ def _table(prepared: WhatIf, changed: WhatIfAnswer | None) -> dict[str, Any]:
     if changed:
         values[..., BEFORE] = prepared.given.simulated
     least = shown.alikeness[0]
-    judged = least.alike.astype(np.int8) if tunnel.trials >= LEAST_TRIALS else COLLECTING
-    inside = np.where(least.seen, judged, UNSEEN).astype(np.int8)
+    judged = least.alike.astype(np.int8) if tunnel.trials >= TUNNEL_TRIALS else COLLECTING
+    inside = np.where(least.seen, judged, NOT_SEEN).astype(np.int8)
     return {
         "key": "what if", "signals": list(tunnel.signals), "step": tunnel.step, "duration": float(tunnel.time[-1]),
         "whole": True, "rows": told_rows(range(len(tunnel.time)), values, inside),

@@ -30,12 +30,12 @@ ROW_STEP = 0.01  # s between two rows
 BRIDGED = 10  # rows; a longer gap between two samples stays as it was
 LONGEST_SHOWN = 600.0  # s of a command that is shown
 MEAN, LOWER, UPPER, SIMULATED, BEFORE = range(5)
-UNSEEN, OUTSIDE, INSIDE, COLLECTING = -1, 0, 1, 2
-LEAST_TRIALS = 2  # real trials from which a tunnel has a width
+NOT_SEEN, OUTSIDE, INSIDE, COLLECTING = -1, 0, 1, 2
+TUNNEL_TRIALS = 2  # real trials from which a tunnel has a width
 PAST = 20  # trials that can be looked at again
 WINDOW = 10.0  # s over which samples that came late or were lost are counted
 DIGITS = 6  # decimals that are told; a microradian is finer than any screen
-KEPT = 30  # entries of the log
+LOG_LENGTH = 30  # entries of the log
 FIRST = "as given"
 BY_HAND = "loaded by hand"
 
@@ -84,8 +84,8 @@ class TunnelTable:
         self._grow(row + 1)
         new = self._values[row].copy()
         new[:, MEAN], new[:, LOWER], new[:, UPPER], new[:, SIMULATED] = mean, mean + lower, mean + upper, simulated
-        judged = np.asarray(alike, dtype=np.int8) if self.trials >= LEAST_TRIALS else COLLECTING
-        inside = np.where(np.isfinite(new[:, :BEFORE]).all(axis=1), judged, UNSEEN)
+        judged = np.asarray(alike, dtype=np.int8) if self.trials >= TUNNEL_TRIALS else COLLECTING
+        inside = np.where(np.isfinite(new[:, :BEFORE]).all(axis=1), judged, NOT_SEEN)
         first = self._last + 1 if 0 <= self._last < row <= self._last + BRIDGED else row
         if first < row:  # rows between this sample and the one before
             share = (np.arange(first, row) - self._last) / (row - self._last)
@@ -102,7 +102,7 @@ class TunnelTable:
         """The simulation runs another model: what it did so far is kept beside for comparison."""
         self._values[:, :, BEFORE] = self._values[:, :, SIMULATED]
         self._values[:, :, SIMULATED] = np.nan
-        self._alike[:] = UNSEEN
+        self._alike[:] = NOT_SEEN
         self._changed[:] = self.revision
 
     @property
@@ -138,7 +138,7 @@ class TunnelTable:
         if more > 0:
             shape = (more, len(self._signals))
             self._values = np.concatenate([self._values, np.full((*shape, 5), np.nan)])
-            self._alike = np.concatenate([self._alike, np.full(shape, UNSEEN, dtype=np.int8)])
+            self._alike = np.concatenate([self._alike, np.full(shape, NOT_SEEN, dtype=np.int8)])
             self._changed = np.concatenate([self._changed, np.full(more, -1, dtype=np.int64)])
 
 
@@ -147,7 +147,7 @@ def told_rows(rows: Iterable[int], values: Array, inside: NDArray[np.int8]) -> l
 
     Args:
         values: (T, m, 5) in the order above, SI units; NaN becomes None.
-        inside: (T, m), UNSEEN, OUTSIDE, INSIDE or COLLECTING.
+        inside: (T, m), NOT_SEEN, OUTSIDE, INSIDE or COLLECTING.
     """
     signals = range(values.shape[1])
     return [[int(row), *([*_rounded(values[row, s]), int(inside[row, s])] for s in signals)] for row in rows]
@@ -179,7 +179,7 @@ class State:
             known = self._parts.get("log")
             entries = known[1].entries if known is not None and isinstance(known[1], Log) else ()
             number = entries[-1][0] + 1 if entries else 0
-            self._put(Log((*entries, (number, time.time(), level, text))[-KEPT:]))
+            self._put(Log((*entries, (number, time.time(), level, text))[-LOG_LENGTH:]))
 
     def trial(self, key: str, duration: float) -> None:
         """A trial of a command begins, as `TunnelTable.start`; what the one before showed can be looked at again."""
@@ -331,7 +331,7 @@ class Steps:
         jointly, itself = (tuple(map(_known, values)) for values in (joint, rig))
         self._gap = GapPart(self.model, tuple(signals), tuple(ks), rows, jointly, itself, samples, trials, of_rig)
         self._state.put(self._gap)
-        if self._steps and n and trials >= LEAST_TRIALS:
+        if self._steps and n and trials >= TUNNEL_TRIALS:
             smallest = min(range(n), key=lambda i: ks[i])
             self._steps[-1] = replace(self._steps[-1], live=self._gap.joint[smallest])
             self._told()

@@ -26,7 +26,7 @@ from labyrinth_sim.nodes.start import start_ros
 SIDES = ("real", "sim")
 # Declared by rclpy itself, some only after the node was made.
 _BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
-LOOK = 0.05  # s between two looks at timers and services of a node that polls
+POLL_PERIOD = 0.05  # s between two looks at timers and services of a node that polls
 CALLBACKS_EACH = 3  # callbacks at each look
 
 
@@ -125,8 +125,8 @@ class TunnelNode(Node):
 
 
 def _polled(node: TunnelNode, executor: SingleThreadedExecutor) -> None:
-    """Polls for LOOK, then serves callbacks. A wake-up of the executor costs more than several polls."""
-    for _ in range(max(1, round(LOOK / node.poll_period))):
+    """Polls for POLL_PERIOD, then serves callbacks. A wake-up of the executor costs more than several polls."""
+    for _ in range(max(1, round(POLL_PERIOD / node.poll_period))):
         node.poll()
         time.sleep(node.poll_period)
     for _ in range(CALLBACKS_EACH):

@@ -10,7 +10,7 @@ from rclpy.duration import Duration
 
 TOGETHER = 1e-4  # s within which two clocks are read, if this process is let
 TRIES = 20
-CHECK = 0.1  # s between two looks at whether to stop
+STOP_PERIOD = 0.1  # s between two looks at whether to stop
 JUMP = 1.0  # s; a clock that goes back or ahead by more while playing was set
 
 
@@ -80,5 +80,5 @@ class Pace:
             if now < newest - JUMP:
                 raise ClockJumped(f"the clock jumped by {now - newest:+.1f} s while playing.")
             newest = max(newest, now)
-            if not self._ticked.wait(CHECK):
+            if not self._ticked.wait(STOP_PERIOD):
                 check()

@@ -58,7 +58,7 @@ LIBRARIES = ("eps_tunnel_analysis", "labyrinth_sim", "labyrinth_hw", "mujoco", "
 Listener = Callable[[str, str, str, bytes, int], None]
 ADAPTED = (QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 SIZES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)
-LONGEST = 2**63 - 1  # ns; what rosbag2 writes for "for ever"
+FOR_EVER = 2**63 - 1  # ns; what rosbag2 writes for "for ever"
 
 
 @dataclass
@@ -456,7 +456,7 @@ def as_in_bags(profile: QoSProfile) -> Qos:
     """A publisher's profile as metadata.yaml tells it."""
 
     def time(nanoseconds: int) -> QosTime:
-        return QosTime(*divmod(min(nanoseconds, LONGEST), 10**9))
+        return QosTime(*divmod(min(nanoseconds, FOR_EVER), 10**9))
 
     return Qos(
         QosHistory[profile.history.name],

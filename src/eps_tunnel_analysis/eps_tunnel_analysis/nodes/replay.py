@@ -25,7 +25,7 @@ from eps_tunnel_analysis.recording.bag import Bag, read_bag
 from labyrinth_sim.errors import InputError, unknown_name
 
 TICK = 10_000_000  # ns of recorded time between two messages on /clock
-CHECK = 0.5  # s between two looks for other publishers
+PUBLISHERS_PERIOD = 0.5  # s between two looks for other publishers
 ACKNOWLEDGED = 5.0  # s to wait for the last messages to arrive
 QUIET = 0.5  # s without new subscribers after which all are taken to be known
 NAMED = 2.0  # s to wait for the name of a node whose publisher is known already
@@ -193,7 +193,7 @@ def _publish(
     now, played, next_tick = rows[0][0], 0, rows[0][0]  # ns of the recording; ns of it that were played
     length = sum(min(two[0] - one[0], pause) for one, two in pairwise(rows))
     began = time.monotonic()
-    next_check = began + CHECK
+    next_check = began + PUBLISHERS_PERIOD
     with tqdm(total=round(length * 1e-9, 1), unit="s", desc="replay", disable=None) as bar:
         for at, topic, message in rows:
             played += min(at - now, pause)
@@ -209,4 +209,4 @@ def _publish(
             publishers[topic].publish(message)
             if time.monotonic() > next_check:
                 check()
-                next_check = time.monotonic() + CHECK
+                next_check = time.monotonic() + PUBLISHERS_PERIOD

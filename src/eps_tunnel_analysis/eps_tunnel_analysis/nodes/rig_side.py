@@ -23,8 +23,8 @@ from labyrinth_msgs.msg import Trial
 from labyrinth_msgs.srv import Record
 from labyrinth_sim.errors import InputError
 
-DEPTH = 10
-LOOK = 0.02  # s between two looks for who records
+SIDE_DEPTH = 10
+RECORDERS_PERIOD = 0.02  # s between two looks for who records
 
 
 class RecordClient:
@@ -76,7 +76,7 @@ class RecordClient:
                     "Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
                 )
             check()
-            time.sleep(LOOK)
+            time.sleep(RECORDERS_PERIOD)
         answered = threading.Event()
         future: Any = self._client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
@@ -110,11 +110,13 @@ class RigSide:
         self._pace = pace
         self._heard = -math.inf
         self._commands = node.create_publisher(
-            JointState, f"{name}/joint_commands", reliable(DEPTH), qos_overriding_options=overridable
+            JointState, f"{name}/joint_commands", reliable(SIDE_DEPTH), qos_overriding_options=overridable
         )
-        self._marks = node.create_publisher(Trial, f"{name}/trial", reliable(DEPTH), qos_overriding_options=overridable)
+        self._marks = node.create_publisher(
+            Trial, f"{name}/trial", reliable(SIDE_DEPTH), qos_overriding_options=overridable
+        )
         self._states = node.create_subscription(
-            JointState, f"{name}/joint_states", self._measured, measured(DEPTH), qos_overriding_options=overridable
+            JointState, f"{name}/joint_states", self._measured, measured(SIDE_DEPTH), qos_overriding_options=overridable
         )
 
     @property

@@ -17,7 +17,7 @@ from eps_tunnel_analysis.recording.plausible import Samples, doubts
 from eps_tunnel_analysis.recording.writer import BagWriter, whole_bag
 from labyrinth_sim.errors import InputError, unknown_name
 
-LONGEST = 2.0**31 - 2.0  # s that a ROS stamp holds, but for the first
+STAMP_HOLDS = 2.0**31 - 2.0  # s that a ROS stamp holds, but for the first
 
 
 @dataclass(frozen=True)
@@ -199,11 +199,11 @@ def _stamps(table: Path, name: str, cells: list[str], scale: float) -> NDArray[n
         line, cell = bad[0] + 2, cells[bad[0]]
         raise InputError(f"{table}: line {line}: the time '{cell}' does not increase. Expected seconds that do.")
     since = seconds - seconds[0]
-    if not since[-1] < LONGEST:
-        line = int(np.flatnonzero(~(since < LONGEST))[0])
+    if not since[-1] < STAMP_HOLDS:
+        line = int(np.flatnonzero(~(since < STAMP_HOLDS))[0])
         raise InputError(
             f"{table}: line {line + 2}: the time '{cells[line]}' lies {shown_number(since[line])} s after the first "
-            f"row's; a stamp holds {shown_number(LONGEST)} s. Is it in ms or us? Say so by --time-unit."
+            f"row's; a stamp holds {shown_number(STAMP_HOLDS)} s. Is it in ms or us? Say so by --time-unit."
         )
     return np.round(since * 1e9).astype(np.int64) + 1_000_000_000
 

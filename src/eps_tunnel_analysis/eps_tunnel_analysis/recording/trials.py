@@ -33,7 +33,7 @@ MAX_HOLD = 0.5
 """s; longest pause in a stream of commands through which the last target is held"""
 MOST_SAMPLES = 2_000_000
 """of one trial on the grid, five hours at 100 Hz; more comes of a stamp or a length that is wrong"""
-LONGEST = 1e6
+LONGEST_TRIAL = 1e6
 """s, of a trial"""
 STRAY = 0.05
 """share of the samples in which commands of one sequence may differ, as by jitter around a step"""
@@ -97,8 +97,10 @@ def _marked(recording: Recording, marks: Sequence[TrialMark], notes: list[str]) 
             # The sequence's own length: end marks come a few milliseconds late, and each by another few.
             seconds = started.duration or (mark.stamp - started.stamp) * 1e-9
             label = f"{recording.path} trial {started.trial}"
-            if not 0.0 < seconds <= LONGEST:
-                raise InputError(f"{label}: its marks say that it lasts {seconds:g} s; expected 0 to {LONGEST:g} s.")
+            if not 0.0 < seconds <= LONGEST_TRIAL:
+                raise InputError(
+                    f"{label}: its marks say that it lasts {seconds:g} s; expected 0 to {LONGEST_TRIAL:g} s."
+                )
             found.append(Window(started.stamp, seconds, label, started.sequence, started.sequence_hash))
         started = mark if mark is not None and mark.phase == "start" else None
     if not found:

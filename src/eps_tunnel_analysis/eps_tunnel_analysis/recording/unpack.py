@@ -12,7 +12,7 @@ from lz4.frame import LZ4FrameDecompressor
 
 MOST_UNPACKED = 256 << 20  # bytes that the files of a bag, however small, may become
 MOST_RATIO = 100  # and beyond that, times their size; streams of joint states reach 20
-BLOCK = 1 << 20  # bytes
+BLOCK_BYTES = 1 << 20  # bytes
 
 
 class TooLargeError(ValueError):
@@ -84,5 +84,5 @@ def _zstd(data: bytes, size: int) -> bytes:
 def check_file(file: Path, allowance: Allowance) -> None:
     """Raises TooLargeError where a file that was compressed as a whole becomes more than is allowed."""
     with file.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True) as rest:
-        while block := rest.read(BLOCK):
+        while block := rest.read(BLOCK_BYTES):
             allowance.take(len(block), f"{file.name} becomes more: a part that")
