@@ -164,9 +164,7 @@ def compare(
     if real.count == 1:
         notes += ("One real trial only: its tunnel has no width, so what the rig itself repeats cannot be known.",)
     elif real.count < LEAST_TRIALS:
-        notes += (
-            "Two real trials only: how alike the rig is to itself can be told from three trials on; five are better.",
-        )
+        notes += ("Two real trials only: how alike the rig is to itself takes three trials; five are better.",)
     return Comparison(
         real=real,
         sim=sim,
@@ -193,9 +191,9 @@ def _signals(real: Trials, sim: Trials, asked: Iterable[str] | None) -> tuple[tu
             f"The two sides have no signal in common. Real: {', '.join(real.signals)}; "
             f"simulation: {', '.join(sim.signals)}."
         )
-    left = [f"{s} (real only)" for s in real.signals if s not in common]
-    left += [f"{s} (simulation only)" for s in sim.signals if s not in common]
-    return common, (f"Signals on one side only, left out: {', '.join(left)}.",) if left else ()
+    one_sided = [f"{s} (real only)" for s in real.signals if s not in common]
+    one_sided += [f"{s} (simulation only)" for s in sim.signals if s not in common]
+    return common, (f"Signals on one side only, left out: {', '.join(one_sided)}.",) if one_sided else ()
 
 
 def _same_time(real: Trials, sim: Trials) -> tuple[Trials, Trials, tuple[str, ...]]:

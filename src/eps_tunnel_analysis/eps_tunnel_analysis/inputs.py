@@ -378,9 +378,9 @@ def _bag_facts(side: str, paths: Sequence[Path], result: TrialsResult) -> list[t
     if result.sequence:
         facts.append((f"{side} sequence", f"{result.sequence} ({result.sequence_hash[:12]})"))
     gaps = result.report.gaps
-    told = [f"trial {t + 1} {s}: {length:.2f} s at {start:.2f} s" for t, s, start, length in gaps[:5]]
+    listed = [f"trial {t + 1} {s}: {length:.2f} s at {start:.2f} s" for t, s, start, length in gaps[:5]]
     more = f"; {len(gaps) - 5} more" if len(gaps) > 5 else ""
-    facts.append((f"{side} gaps", "; ".join(told) + more if gaps else "none"))
+    facts.append((f"{side} gaps", "; ".join(listed) + more if gaps else "none"))
     return facts[1:] if len(paths) == result.trials.count else [(facts[0][0], "marked in the bag"), *facts[1:]]
 
 
@@ -443,19 +443,21 @@ def _known_beside(bag: Path) -> dict[str, float]:
 
 def _refuse_other_settings(known: Mapping[Path, Mapping[str, float]]) -> None:
     if len({tuple(sorted(values.items())) for values in known.values()}) > 1:
-        told = [
+        settings = [
             f"{bag}: {', '.join(f'{n} {v:g}' for n, v in sorted(k.items())) or 'nothing'}" for bag, k in known.items()
         ]
         raise InputError(
             "Different values are known of these bags, so they are no trials of one command: "
-            f"{'; '.join(told)}. Compare them separately."
+            f"{'; '.join(settings)}. Compare them separately."
         )
 
 
 def unstated_notes(model: Model) -> tuple[str, ...]:
     """One sentence with every default that holds because the model says nothing; none where it states all."""
-    left = [f"{info.name} {shown_number(info.value, 4)} {info.unit}".removesuffix(" 1") for info in model.unstated()]
-    return (f"Model '{model.name}' does not state, so defaults hold: {', '.join(left)}.",) if left else ()
+    defaults = [
+        f"{info.name} {shown_number(info.value, 4)} {info.unit}".removesuffix(" 1") for info in model.unstated()
+    ]
+    return (f"Model '{model.name}' does not state, so defaults hold: {', '.join(defaults)}.",) if defaults else ()
 
 
 def with_effort_scales(model: Model, plays: Sequence[Play]) -> tuple[Model, tuple[str, ...]]:

@@ -82,12 +82,12 @@ class Hardware:
 
     def connect(self, tries: int = 4) -> None:
         """Open both lines; servos that just got power, or a busy machine, may need some tries. Raises HardwareError."""
-        for left in reversed(range(tries)):
+        for tries_left in reversed(range(tries)):
             try:
                 self._connect_servos()
                 break
             except BusError:
-                if not left:
+                if not tries_left:
                     raise
                 time.sleep(RECONNECT_EVERY)
         if self.sensors is not None:

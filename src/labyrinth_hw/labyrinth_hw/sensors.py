@@ -204,7 +204,7 @@ class SensorLine:
         """The answer to the last request, or None where none came in time."""
         port = self._open_port()
         deadline = time.monotonic() + (self.patience if patience is None else patience)
-        while (left := deadline - time.monotonic()) > 0 or b"\n" in self._buffer:
+        while (remaining := deadline - time.monotonic()) > 0 or b"\n" in self._buffer:
             line, newline, rest = bytes(self._buffer).partition(b"\n")
             if newline:
                 self._buffer[:] = rest
@@ -214,7 +214,7 @@ class SensorLine:
                 self.damaged += 1
                 continue
             try:
-                select.select([port.fileno()], [], [], left)
+                select.select([port.fileno()], [], [], remaining)
                 self._buffer += port.read(256)
             except GONE as error:
                 raise SensorError(f"Sensor line {self.path} is gone: {error}.") from error

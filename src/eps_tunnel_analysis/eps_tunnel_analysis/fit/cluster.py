@@ -34,7 +34,7 @@ def connected(address: str, timeout: float = CONNECT_S) -> Iterator[Any]:
         timeout: s to wait for the scheduler.
 
     Raises:
-        InputError: nobody answers, no worker is there, or `distributed` is not installed.
+        InputError: no scheduler answers, no worker is there, or `distributed` is not installed.
     """
     try:
         from distributed import Client
@@ -44,7 +44,7 @@ def connected(address: str, timeout: float = CONNECT_S) -> Iterator[Any]:
         client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"--scheduler {address}: nobody answers ({type(error).__name__}). Start one with `dask scheduler` and "
+            f"--scheduler {address}: no scheduler ({type(error).__name__}). Start one with `dask scheduler` and "
             f"workers with `dask worker {address}`, then name it as tcp://HOST:PORT."
         ) from error
     try:

@@ -91,20 +91,20 @@ def by_axis(model: Model, free: Sequence[str], plays: Sequence[Play], signals: S
 
     An axis of which `signals` names none is fitted to all of them.
     """
-    left = list(free)
+    others = list(free)
     parts = []
     for axis in model.rig.axes:
-        mine = tuple(name for name in left if _belongs(name, axis))
-        left = [name for name in left if name not in mine]
-        if not mine:
+        own = tuple(name for name in others if _belongs(name, axis))
+        others = [name for name in others if name not in own]
+        if not own:
             continue
         seen = [s for s in axis.positions if all(s in play.trials.signals for play in plays)]
         asked = [m.signal for m in axis.measured if m.signal in (signals or ())] if signals is not None else seen
         chosen = tuple(asked) or (tuple(signals) if signals is not None else None)
         moved = tuple(i for i, play in enumerate(plays) if _moves(play, axis.command))
-        parts.append(Part(axis.name, mine, chosen, moved or tuple(range(len(plays)))))
-    if left:
-        parts.append(Part("", tuple(left), tuple(signals) if signals is not None else None, tuple(range(len(plays)))))
+        parts.append(Part(axis.name, own, chosen, moved or tuple(range(len(plays)))))
+    if others:
+        parts.append(Part("", tuple(others), tuple(signals) if signals is not None else None, tuple(range(len(plays)))))
     return parts
 
 

@@ -171,6 +171,6 @@ def ending_page(ending: Ending, notebook: Notebook) -> list[str]:
     ]
     diagnosis = ending.last.diagnosis
     if diagnosis.verdict.verdict == "unknown":
-        left = left_over_picture(diagnosis, alone=True)
-        blocks.append(notebook.picture(left, "unknown", "what no known effect explains"))
+        picture = left_over_picture(diagnosis, alone=True)
+        blocks.append(notebook.picture(picture, "unknown", "what no known effect explains"))
     return [*blocks, f"The model, running in the simulation: {notebook.link(ending.model.name, ending.model)}"]

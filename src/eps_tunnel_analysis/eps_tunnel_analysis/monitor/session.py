@@ -234,9 +234,9 @@ class Session:
             self._state.note(f"The board cannot be drawn: {error}", "error")
         self._move_values()
 
-    def progress(self, trial: int, trials: int, phase: str, share: float, left: float, duration: float) -> None:
+    def progress(self, trial: int, trials: int, phase: str, share: float, time_left: float, duration: float) -> None:
         """How far the run is: trial from 0, `share` 0..1; `left`, and the command's `duration`, in s."""
-        self._state.put(RunPart(self._sequence, trial, trials, phase, round(share, 3), round(left, 1), duration))
+        self._state.put(RunPart(self._sequence, trial, trials, phase, round(share, 3), round(time_left, 1), duration))
 
     def played(self, success: bool, message: str, bags: Sequence[str]) -> None:
         """The run ended, with these bags."""

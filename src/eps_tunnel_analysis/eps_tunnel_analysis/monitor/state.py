@@ -120,10 +120,10 @@ class TunnelTable:
         whole = self._began > seen
         if not len(rows) and not whole:
             return None
-        told = told_rows(rows, self._values, self._alike)
+        rows_now = told_rows(rows, self._values, self._alike)
         return {
             "key": self._key, "signals": list(self._signals), "step": ROW_STEP, "duration": self._duration,
-            "whole": whole, "rows": told,
+            "whole": whole, "rows": rows_now,
         }  # fmt: skip
 
     def _clear(self, signals: tuple[str, ...]) -> None:

@@ -244,7 +244,9 @@ class AnalysisNode(TunnelNode):
         found = to_plays(self._reference, namespace="/real", rate=rate, max_gap=self._max_gap)
         for play, result in zip(found.plays, found.results, strict=True):
             if not result.sequence_hash:
-                raise InputError(f"reference: {play.name} tells no sequence; expected bags with marked trials.")
+                raise InputError(
+                    f"reference: {play.name} has no marks that name a sequence; expected bags with marked trials."
+                )
             gap.refer_to(result.sequence_hash, play.trials)
             self.get_logger().info(f"{play.trials.count} trials of {play.name} are the reference.")
         return gap
@@ -365,9 +367,9 @@ class AnalysisNode(TunnelNode):
     def _note_model(self, model: RunningModel) -> None:
         """Bags name the simulation's model, and trials of another one do not count."""
         self._recorder.model = model.name
-        told = (model.name, model.file, str(model.loaded))
-        before, self._model = self._model, told
-        if before == told:
+        now = (model.name, model.file, str(model.loaded))
+        before, self._model = self._model, now
+        if before == now:
             return
         rate = _rate_of(model.file) if self._own_rate else self._rate
         if rate != self._rate:
@@ -405,9 +407,9 @@ class AnalysisNode(TunnelNode):
             message=" ".join(errors) or ("recording" if bags else "not recording"),
             values=[KeyValue(key="bag", value=bag) for bag in bags],
         )
-        told = DiagnosticArray(status=[samples, recording])
-        told.header.stamp = now
-        self._diagnostics.publish(told)
+        diagnostics = DiagnosticArray(status=[samples, recording])
+        diagnostics.header.stamp = now
+        self._diagnostics.publish(diagnostics)
 
 
 def _rate_of(file: str) -> float:

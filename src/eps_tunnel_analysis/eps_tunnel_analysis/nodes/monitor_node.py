@@ -187,13 +187,14 @@ def _health(counters: LiveCounters) -> Health:
     )  # fmt: skip
 
 
-def _verdict(told: Diagnosis, model: str) -> VerdictPart:
+def _verdict(message: Diagnosis, model: str) -> VerdictPart:
     """The verdict of somebody else."""
-    pairs = zip(told.candidates, told.probabilities, strict=False)
+    pairs = zip(message.candidates, message.probabilities, strict=False)
     return VerdictPart(
-        verdict=told.verdict, sentence=told.sentence, effects=tuple(told.effects),
-        hypotheses=tuple((name, p, False) for name, p in pairs), where=(), coverage=told.coverage,
-        held_out=(told.held_out_before, None, told.held_out_after), model=model, next_experiment=told.next_experiment,
+        verdict=message.verdict, sentence=message.sentence, effects=tuple(message.effects),
+        hypotheses=tuple((name, p, False) for name, p in pairs), where=(), coverage=message.coverage,
+        held_out=(message.held_out_before, None, message.held_out_after), model=model,
+        next_experiment=message.next_experiment,
         report="", notes=(),
     )  # fmt: skip
 

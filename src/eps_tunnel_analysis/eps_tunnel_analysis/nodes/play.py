@@ -67,13 +67,13 @@ class ProgressBar:
 
     def show(self, progress: Progress) -> None:
         doing = f"trial {progress.trial + 1}/{progress.trials} {progress.phase}"
-        left = f"{progress.time_left:.0f} s left"
+        remaining = f"{progress.time_left:.0f} s left"
         if not self._bar.disable:
             self._bar.set_description_str(f"{doing:25}", refresh=False)
-            self._bar.set_postfix_str(left, refresh=False)
+            self._bar.set_postfix_str(remaining, refresh=False)
             self._bar.update(100 * progress.share - self._bar.n)
         elif doing != self._told:
-            print(f"{doing}, {100 * progress.share:.0f} %, {left}", file=sys.stderr, flush=True)
+            print(f"{doing}, {100 * progress.share:.0f} %, {remaining}", file=sys.stderr, flush=True)
         self._told = doing
 
 

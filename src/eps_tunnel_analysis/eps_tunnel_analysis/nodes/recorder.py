@@ -189,7 +189,7 @@ class Recorder:
             for topic in self._topics.values()
             if topic.side in (sides or self._prefixes) and topic.reached < len(topic.ends)
         ]
-        timeless = ["/clock (nobody tells the time)"] if self._clock is not None and not self._now else []
+        timeless = ["/clock (no publisher)"] if self._clock is not None and not self._now else []
         return absent + deaf + timeless
 
     @property
@@ -233,8 +233,8 @@ class Recorder:
         try:
             for side, path in paths.items():
                 model = self.model if side == "sim" else ""
-                told = {**metadata, "side": side, "model": model, **_versions(self._distro)}
-                writers[side] = BagWriter(path, told, self._distro)
+                about = {**metadata, "side": side, "model": model, **_versions(self._distro)}
+                writers[side] = BagWriter(path, about, self._distro)
         except (InputError, OSError) as error:  # of a name, too, that no file system takes
             for writer in writers.values():
                 writer.close()
@@ -408,8 +408,8 @@ def _received(info: MessageInfo) -> int:
 
 def ros_distro() -> str:
     """The ROS release that runs, e.g. `kilted`; empty where it cannot be told."""
-    if told := os.environ.get("ROS_DISTRO"):
-        return told
+    if distro := os.environ.get("ROS_DISTRO"):
+        return distro
     names = (re.fullmatch(r"ros-([a-z]+)-rclpy", d.metadata["Name"] or "") for d in distributions())
     return next((match[1] for match in names if match), "")
 

@@ -82,8 +82,8 @@ def replay(paths: Sequence[Path], options: Options) -> str:
         node.destroy_node()
         rclpy.try_shutdown()
     count = sum(topic in publishers for _, topic, _ in rows)
-    told = f" Left out: {', '.join(left_out)}, whose types are not installed here." if left_out else ""
-    return f"Published {count} messages on {len(publishers)} topics.{told}"
+    warning = f" Left out: {', '.join(left_out)}, whose types are not installed here." if left_out else ""
+    return f"Published {count} messages on {len(publishers)} topics.{warning}"
 
 
 def _kinds(bags: Sequence[Bag], asked: Sequence[str]) -> dict[str, str]:

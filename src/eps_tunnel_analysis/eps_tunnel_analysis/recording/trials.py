@@ -110,12 +110,12 @@ def _marked(recording: Recording, marks: Sequence[TrialMark], notes: list[str]) 
 
 def check_same_sequence(found: Sequence[Window]) -> None:
     """Raises InputError when two windows tell different sequences."""
-    told = [window for window in found if window.sequence_hash]
+    named = [window for window in found if window.sequence_hash]
     complaints = [
-        f"{window.label}: plays sequence '{window.sequence}' ({window.sequence_hash[:12]}), but {told[0].label} plays "
-        f"'{told[0].sequence}' ({told[0].sequence_hash[:12]}). Trials must play the same sequence."
-        for window in told
-        if window.sequence_hash != told[0].sequence_hash
+        f"{window.label}: plays sequence '{window.sequence}' ({window.sequence_hash[:12]}), but {named[0].label} plays "
+        f"'{named[0].sequence}' ({named[0].sequence_hash[:12]}). Trials must play the same sequence."
+        for window in named
+        if window.sequence_hash != named[0].sequence_hash
     ]
     if complaints:
         raise InputError(complaints)
@@ -561,13 +561,13 @@ def _grouped(spans: Sequence[RecordedTrial], rate: float, max_hold: float | None
     by_hash: dict[str, list[RecordedTrial]] = {}
     groups: list[list[RecordedTrial]] = []
     for span in spans:
-        told = span.window.sequence_hash
-        home = by_hash.get(told) if told else next((g for g in groups if _alike(g[0], span, rate, max_hold)), None)
+        digest = span.window.sequence_hash
+        home = by_hash.get(digest) if digest else next((g for g in groups if _alike(g[0], span, rate, max_hold)), None)
         if home is None:
             home = []
             groups.append(home)
-        if told:
-            by_hash.setdefault(told, home)
+        if digest:
+            by_hash.setdefault(digest, home)
         home.append(span)
     return groups
 
@@ -587,10 +587,10 @@ def _alike(one: RecordedTrial, other: RecordedTrial, rate: float, max_hold: floa
 
 def _names(groups: Sequence[Sequence[RecordedTrial]]) -> list[str]:
     """The sequences' names; numbered where a bag tells none, with the hash where two share one."""
-    told = [next((s.window.sequence for s in group if s.window.sequence), "") for group in groups]
+    sequences = [next((s.window.sequence for s in group if s.window.sequence), "") for group in groups]
     names = []
-    for number, (name, group) in enumerate(zip(told, groups, strict=True), start=1):
-        if name and told.count(name) == 1:
+    for number, (name, group) in enumerate(zip(sequences, groups, strict=True), start=1):
+        if name and sequences.count(name) == 1:
             names.append(name)
         else:
             digest = group[0].window.sequence_hash[:8]

@@ -339,10 +339,10 @@ class HwNode(LifecycleNode):
                     self._publish(measured)
                 self._log_state()
                 due += self._period
-                left = due - time.monotonic()
-                if left > 0:
-                    self._stop.wait(left)
-                elif left < -self._period:
+                wait = due - time.monotonic()
+                if wait > 0:
+                    self._stop.wait(wait)
+                elif wait < -self._period:
                     self._counts["late"] += 1
                     due = time.monotonic()
         except BaseException as error:

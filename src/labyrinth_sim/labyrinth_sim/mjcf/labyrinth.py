@@ -310,10 +310,10 @@ def _board(frame: ET.Element, asset: ET.Element, layout: Layout, plain: bool) ->
 def _floor(board: ET.Element, asset: ET.Element, layout: Layout) -> None:
     half = layout.board_size / 2
     holes = layout.holes - half
-    looks = {"type": "mesh", "material": "floor"}
+    attributes = {"type": "mesh", "material": "floor"}
     for number, tile in enumerate(floor_tiles(-half - RIM_WIDTH, half + RIM_WIDTH, holes, layout.hole_radius), 1):
         _mesh(asset, f"floor_{number}", tile)
-        ET.SubElement(board, "geom", {"name": f"floor_{number}", "mesh": f"floor_{number}"} | looks)
+        ET.SubElement(board, "geom", {"name": f"floor_{number}", "mesh": f"floor_{number}"} | attributes)
     wedges = hole_wedges(layout.hole_radius)
     for i, wedge in enumerate(wedges, 1):
         _mesh(asset, f"wedge_{i}", wedge)
@@ -322,7 +322,7 @@ def _floor(board: ET.Element, asset: ET.Element, layout: Layout) -> None:
         size = {"size": _n(layout.hole_radius), "rgba": "0 0 0 0", "group": "4"}
         ET.SubElement(board, "site", {"name": f"hole_{number}"} | place | size)
         for i in range(1, len(wedges) + 1):
-            ET.SubElement(board, "geom", {"name": f"hole_{number}_{i}", "mesh": f"wedge_{i}"} | place | looks)
+            ET.SubElement(board, "geom", {"name": f"hole_{number}_{i}", "mesh": f"wedge_{i}"} | place | attributes)
 
 
 def _motors(world: ET.Element, layout: Layout, train: DriveTrain) -> None:
@@ -333,8 +333,8 @@ def _motors(world: ET.Element, layout: Layout, train: DriveTrain) -> None:
         _inertial(motor, HORN_MASS, (1e-6, 1e-6, 1e-6))
         ET.SubElement(motor, "joint", name=f"motor_{axis}", axis=AXES[axis], armature=_n(train.armature))
         ends = "-0.004 0 0 0.004 0 0" if axis == "x" else "0 -0.004 0 0 0.004 0"
-        looks = {"contype": "0", "conaffinity": "0", "material": "servo"}
-        ET.SubElement(motor, "geom", looks, name=f"horn_{axis}", type="cylinder", fromto=ends, size="0.014")
+        attributes = {"contype": "0", "conaffinity": "0", "material": "servo"}
+        ET.SubElement(motor, "geom", attributes, name=f"horn_{axis}", type="cylinder", fromto=ends, size="0.014")
 
 
 def _ball(world: ET.Element, layout: Layout) -> None:

@@ -79,8 +79,8 @@ class SimNode(LifecycleNode):
         self._balls = self.create_publisher(BallState, f"{side}/{topics['ball']}", **_qos())
         self._events = self.create_publisher(BallEvent, f"{side}/{topics['ball_event']}", **_qos())
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        told = self._factor != 1.0 or self.get_parameter("publish_clock").value
-        self._clocks = self.create_publisher(ClockMessage, "/clock", 10) if told else None
+        publishes = self._factor != 1.0 or self.get_parameter("publish_clock").value
+        self._clocks = self.create_publisher(ClockMessage, "/clock", 10) if publishes else None
         self._models = self.create_publisher(RunningModel, f"{side}/model", _latched())
         self._descriptions = self.create_publisher(String, f"{side}/robot_description", _latched())
         self._commands = self.create_subscription(JointState, f"{side}/{topics['commands']}", self._command, **_qos())
