@@ -38,7 +38,7 @@ FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
 OWN_ROUNDS = 4  # of descent at the model's own steps, in the end
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
-FINEST = 4e-4  # s, of MuJoCo's steps
+FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to be descended
 STANDS = 0.1  # floors by which half the step may change an answer that stands
 UNFELT = 0.02  # floors
 FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
@@ -159,6 +159,8 @@ class Search:
         self.firmness[base] = np.sqrt(SETTINGS.correlated) * span / self._spread
         self.difference = np.full(len(self.start), difference)
         self.difference[base] = np.minimum(difference, 0.1 * self._spread / span)
+        driven = {name.split(".")[1] for name in library.base if name.startswith("drive.")}
+        self._finest = FINEST * max(1, len(driven))
         self._idle = np.zeros(len(self.start), dtype=bool)  # base values that the recordings do not feel
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
@@ -278,7 +280,7 @@ class Search:
         asked: tuple[tuple[Level, bool], ...] = ("fine", self.levels["fine"].extrapolate), ("exact", self._corrected)
         for level in (level for level, wanted in asked if wanted):
             here = self.residuals(values[None], level)[0]
-            while self.levels[level].shortest > FINEST:
+            while self.levels[level].shortest > self._finest:
                 finer = self.levels[level].finer()
                 there = finer(values[None])[0, self.used] / self.scale
                 self.evaluations += 1
