@@ -289,7 +289,7 @@ def to_trials(
         namespace: `/real` or `/sim`; found in the bag by default.
         rate: Hz of the grid.
         max_gap: s; measurements further apart than this are not bridged, the samples between them are NaN and counted.
-        max_hold: s; see `resample.hold`.
+        max_hold: s; see `hold`.
         cut_to_shortest: cuts trials of different length instead of refusing them.
 
     Raises:
