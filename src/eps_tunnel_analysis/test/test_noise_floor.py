@@ -102,7 +102,7 @@ def held(time: Array, rng: np.random.Generator) -> Array:
 
 @pytest.mark.parametrize("trials", [4, 10])
 def test_a_mean_is_as_exact_as_its_trials_forget_what_drives_them_apart(trials: int) -> None:
-    """What a trial forgets is noise, and averages out; where each trial rests for long, the mean is no motion at all."""
+    """What a trial forgets is noise, and averages out; where each trial rests for long, the mean is no motion."""
     forgotten = signal_noise(*bins_of(trials, 6, wandering), WIDTH)
     assert np.sqrt(np.mean(forgotten.floor**2)) == pytest.approx(SIGMA / np.sqrt(trials), rel=0.35)
     kept = signal_noise(*bins_of(trials, 6, held), WIDTH)

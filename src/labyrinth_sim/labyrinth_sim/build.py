@@ -24,8 +24,8 @@ FRICTION_IMPEDANCE = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 # 20 ms a joint slides on for as long, and effort trails.
 FRICTION_TIME = [1e-9, 1.0]
 COUPLED = 0.01
-"""Inertia that two joints share, over the root of the product of their own, beyond which they are simulated together: the
-joints of `two_link_arm` share 0.44 to 0.59; Rotation and Jaw of an SO-100 share 0.002 at most with its other joints."""
+"""Inertia that two joints share, over the root of the product of their own, beyond which they are simulated together:
+the joints of `two_link_arm` share 0.44 to 0.59; Rotation and Jaw of an SO-100 0.002 at most with its other joints."""
 
 
 @dataclass(frozen=True)

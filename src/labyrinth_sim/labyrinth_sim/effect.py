@@ -261,9 +261,8 @@ class Drive:
         target: makes the filter of the target (rad), as for a delay; None for none.
         gain: (nsim,) control of the actuator for each radian of the target; None for 1.
         reach: (nsim,) error, rad or m, at which it gives its most at rest; None where nothing limits it.
-        lead: makes what a change of the target (nsim, K) rad adds at once to the control, times the seconds for which
-            it does; None for nothing. With these two alone the controls of a whole roll-out are known beforehand, and
-            MuJoCo steps it without a stop.
+        lead: (nsim,) control for each radian by which the target has moved within 10 ms; None for 0. With these two
+            alone the controls of a whole roll-out are known beforehand, and MuJoCo steps it without a stop.
         controller: makes what the law remembers, given the values and the sample time in s; None where it remembers
             nothing.
         by_duty: whether it sets the motor's duty, so that less voltage means less of everything; else it regulates the
@@ -288,7 +287,7 @@ class Drive:
     target: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
     gain: "Callable[[Values], Array] | None" = None
     reach: "Callable[[Values], Array] | None" = None
-    lead: "Callable[[Values], Callable[[Array], Array] | None] | None" = None
+    lead: "Callable[[Values], Array] | None" = None
     controller: "Callable[[Values, float], Controller | None] | None" = None
     free: tuple[str, ...] = ()
     told_by_effort: tuple[str, ...] = ()

@@ -31,6 +31,7 @@ mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
 Columns = slice | NDArray[np.intp]
 LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
 CHECK_EVERY = 50  # samples between checks for simulations that diverged
+LEAD_TIME = 0.01  # s, over which a drive's law sees by how much its target changes; the paper's sample
 SPREAD = 2  # samples over which a delay may spread a step of a command
 FAR = 2.0  # times what saturates a drive, beyond which a step counts so, in full from this times that on
 WHOLE_STEP = 20  # power of a step's share of a sample with which what goes beyond a saturated drive's reach counts
@@ -223,6 +224,7 @@ class Engine:
         own = [(kind, local_values(values, prefix)) for kind, prefix, _ in plan.drives]
         self._gain = [kind.gain(v) if kind.gain else np.ones(nsim) for kind, v in own]
         self._reach = [kind.reach(v) if kind.reach else None for kind, v in own]
+        self._window = max(LEAD_TIME, step)
         self._lead = [kind.lead(v) if kind.lead else None for kind, v in own]
         self._controllers: list[Controller | None] = [
             kind.controller(v, step) if kind.controller else None for kind, v in own
@@ -271,7 +273,7 @@ class Engine:
         """
         self.batch.bind("qpos")[...] = qpos
         self.batch.bind("qvel")[...] = qvel
-        window = np.full(self.nsim, self.step)
+        window = np.full(self.nsim, self._window)
         self._earlier = [Delay(window, self.step, target[:, i]) for i in range(len(self.plan.drives))]
         if (self._every_step or self.plan.with_ball) and not (self._laws and self._whole):
             self._run(lambda ids: self.batch.forward(ids))
@@ -422,10 +424,10 @@ class Engine:
         """(nsim, K) controls of a drive for its next targets (nsim, K), without what depends on the angle."""
         control = self._gain[channel][:, None] * targets
         lead = self._lead[channel]
-        if lead is None:
+        if lead is None or not lead.any():
             return control
         change = np.nan_to_num(targets - self._earlier[channel](targets, targets))
-        return control + lead(change) / self.step
+        return control + (LEAD_TIME / self._window) * lead[:, None] * change
 
     def advance(self, target: Array, seen: Array | None = None) -> None:
         """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off.

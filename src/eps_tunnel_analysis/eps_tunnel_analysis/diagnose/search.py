@@ -473,7 +473,9 @@ class Search:
         columns = self.fitted(refit)
         moved = np.tile(refit.values, (len(columns), 1))
         steps = self._steps(refit)[columns] * (self.high - self.low)[columns]
-        steps = np.where(refit.values[columns] + steps <= self.high[columns], steps, -steps)
+        above, below = (self.high - refit.values)[columns], (refit.values - self.low)[columns]
+        up = (steps <= above) | (above >= below)
+        steps = np.where(up, np.minimum(steps, above), -np.minimum(steps, below))
         moved[np.arange(len(columns)), columns] += steps
         return moved
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's simulated servo, equation 8: a PID law on the angle commands a speed."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -25,7 +25,6 @@ from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
 REFERENCE_STEP = 0.01  # s; the paper samples at 100 Hz
-ROUND = 0.001  # s, in which a firmware goes once through its law
 
 
 class Integral:
@@ -60,23 +59,11 @@ def reach(values: Values) -> Array:
     return values["torque"] / np.maximum(values["speed_gain"] * np.abs(values["p"]), 1e-9)
 
 
-def lead(values: Values) -> Callable[[Array], Array] | None:
-    """D of a change of the target: speed times s. MuJoCo takes off D of the angle implicitly, 10 ms times its speed.
-
-    A firmware sees the change in one round, and asks for as much more as makes up for the shorter time; the torque
-    then is the most there is, unless P asks for that already.
+def lead(values: Values) -> Array:
+    """D (e_n - e_{n-1}), of samples 10 ms apart: of the target its change within them, of the angle 10 ms times its
+    speed, which MuJoCo takes off implicitly.
     """
-    if not values["d"].any():
-        return None
-    p, gain, most = (values[name][:, None] for name in ("p", "speed_gain", "torque"))
-    sharp = values["d"][:, None] * (REFERENCE_STEP / ROUND)
-
-    def kick(change: Array) -> Array:
-        with_d, without = (np.clip(gain * part * change, -most, most) for part in (p + sharp, p))
-        asked: Array = ROUND * (with_d - without) / gain
-        return asked
-
-    return kick
+    return values["d"]
 
 
 def spec(spec: mujoco.MjSpec, site: Site) -> None:
@@ -108,7 +95,7 @@ DRIVE = Drive(
     title="Speed servo under a PID law on the angle",
     physics="The servo turns at the speed that a PID law on the angle's error asks for, as far as its torque suffices, "
     "of which back-EMF takes a share that grows with the speed.",
-    equation="v = P e + I sum(e_k dt_k) + D (e_n - e_{n-1}) 10 ms / T, T = 1 ms, a round of the firmware; "
+    equation="v = P e + I sum(e_k dt_k) + D (e - e 10 ms before); "
     "torque = clip(G (v - speed), -M min(1, 1 + b speed), M min(1, 1 - b speed)), b = back_emf",
     parameters=(
         Parameter("p", "1/s", -25.0, 25.0, None, 1.0, "the paper's search range"),

@@ -18,6 +18,8 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 
+LEAD_TIME = 0.01  # s, over which a drive's law sees by how much its target changes
+
 # What was exported; a generated module has its own below.
 SAMPLE_TIME = 0.01
 AXES: list = []
@@ -95,6 +97,7 @@ class Simulation:
             for effect in EFFECTS
         ]
         self._signals = [m for axis in rig.axes for m in axis.measured]
+        self._window = max(LEAD_TIME, self.sample_time)
 
     def _place(self, effect):
         site = self._sites[effect["channel"]]
@@ -133,8 +136,7 @@ class Simulation:
         self._gain = [d.gain(d.values) if d.gain else np.ones(1) for d in self._drives]
         self._lead = [d.lead(d.values) if d.lead else None for d in self._drives]
         self._controllers = [d.controller(d.values, self.sample_time) if d.controller else None for d in self._drives]
-        one = np.array([self.sample_time])
-        self._earlier = [DELAY(one, self.sample_time, start[:, i]) for i in range(len(AXES))]
+        self._earlier = [DELAY(np.array([self._window]), self.sample_time, start[:, i]) for i in range(len(AXES))]
         mujoco.mj_forward(model, data)
         self._efforts = data.qfrc_actuator.copy()
         raw = self._raw()
@@ -171,10 +173,10 @@ class Simulation:
         for i, site in enumerate(self._sites):
             control = self._gain[i] * goal[i]
             lead = self._lead[i]
-            if lead is not None:
+            if lead is not None and lead.any():
                 own = goals[:, :, i]
-                change = np.nan_to_num(own - self._earlier[i](own, own))
-                control = control + lead(change)[:, 0] / self.sample_time
+                change = np.nan_to_num(own - self._earlier[i](own, own))[:, 0]
+                control = control + (LEAD_TIME / self._window) * lead * change
             if self._controllers[i]:
                 error = np.array([0.0 if off[i] else errors[i]])
                 control = control + self._controllers[i].sample(error)
