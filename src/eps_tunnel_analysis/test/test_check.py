@@ -97,3 +97,9 @@ def test_text_and_json(recorded: Recorded, tmp_path: Path) -> None:
     )
     content = json.loads(printed.stdout)
     assert content["command"] == "check" and {one["kind"] for one in content["excited"]} == {"value", "effect"}
+
+
+def test_a_late_drive_is_moved_no_further_than_its_bounds(recorded: Recorded) -> None:
+    """A delay in the middle of its bounds has less room to either side than it is moved by."""
+    late = recorded.model.with_values({"drive.a.delay": 0.029})
+    assert any(one.name == "drive.a.delay" for one in excitation(late, recorded.plays, ["backlash"], nthread=1))

@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from eps_tunnel_analysis.diagnose.noise import SignalNoise, resolution, signal_noise
 from eps_tunnel_analysis.stamped import Readings, Series, readings
@@ -86,27 +85,6 @@ def test_where_trials_drift_apart_the_floor_rises_there_only() -> None:
     early, late = noise.floor[noise.time < 4.5], noise.floor[noise.time > 5.5]
     assert np.median(early) == pytest.approx(SIGMA / np.sqrt(5), rel=0.2)
     assert late == pytest.approx(np.full(len(late), np.std(np.linspace(-0.05, 0.05, 5), ddof=1)), rel=0.1)
-
-
-def wandering(time: Array, rng: np.random.Generator) -> Array:
-    """Random pushes on a servo that forgets them within 50 ms, deviation SIGMA."""
-    keep = np.exp(-WIDTH / 0.05)
-    pushes = SIGMA * np.sqrt(1.0 - keep**2) * rng.standard_normal(len(time))
-    return motion(time) + lfilter([1.0], [1.0, -keep], pushes)
-
-
-def held(time: Array, rng: np.random.Generator) -> Array:
-    """Rests for a second each time, in every trial where stiction happens to hold it, deviation SIGMA."""
-    return motion(time) + SIGMA * rng.standard_normal(12)[time.astype(int)]
-
-
-@pytest.mark.parametrize("trials", [4, 10])
-def test_a_mean_is_as_exact_as_its_trials_forget_what_drives_them_apart(trials: int) -> None:
-    """What a trial forgets is noise, and averages out; where each trial rests for long, the mean is no motion."""
-    forgotten = signal_noise(*bins_of(trials, 6, wandering), WIDTH)
-    assert np.sqrt(np.mean(forgotten.floor**2)) == pytest.approx(SIGMA / np.sqrt(trials), rel=0.35)
-    kept = signal_noise(*bins_of(trials, 6, held), WIDTH)
-    assert np.sqrt(np.mean(kept.floor**2)) == pytest.approx(SIGMA, rel=0.25)
 
 
 @pytest.mark.parametrize("trials", [1, 4])

@@ -111,7 +111,8 @@ def _some(plays: Sequence[Play]) -> list[Play]:
 def _moved(start: Array, index: int, info: ParameterInfo) -> Array:
     row = start.copy()
     step = _step(info)
-    row[index] += step if row[index] + step <= info.high else -step
+    above, below = info.high - row[index], row[index] - info.low
+    row[index] += min(step, above) if step <= above or above >= below else -min(step, below)
     return row
 
 

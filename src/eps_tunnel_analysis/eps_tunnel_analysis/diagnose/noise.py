@@ -29,7 +29,7 @@ class SignalNoise:
         single: standard deviation of one trial's bins about the mean, of the part that changes from bin to bin.
         tick: smallest difference that the sensor tells apart, 0 where it is fine.
         floor: (b,) standard deviation of the mean about what a perfect model says: single trials' noise over the root
-            of their number; rounding, as far as trials round alike; what trials drift apart by for long, in full, for
+            of their number; rounding, as far as trials round alike; what trials drift apart by slowly, in full, for
             their mean is then no motion that any of them made; and the tolerance.
     """
 
@@ -80,9 +80,7 @@ def signal_noise(
         # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
         spread = _around(_mean(deviations**2, 0), window) * share
         around = np.minimum(0.5 * _around(_mean(jumps**2, 0), window, len(bins.time)) * share, spread)
-        wander = np.maximum(spread - CHANCE * around, 0.0)
-        stays = np.minimum(_persisting(deviations, window) * share, wander)
-        slow = stays + (wander - stays) / trials
+        slow = np.maximum(spread - CHANCE * around, 0.0)
     motion = float(np.sqrt(np.var(bins.mean)))
     rounding = _rounding(bins, tick, max(white - tick**2 / 12.0, 0.0))
     early = timing / trials * _slope(bins)  # of the mean, as far as its trials do not tell it by themselves
@@ -97,18 +95,6 @@ def _around(values: Array, window: int, length: int | None = None) -> Array:
     """(b,) running means of values, (b,) or one fewer where `length` is b."""
     means = uniform_filter1d(np.nan_to_num(values), window, mode="nearest")
     return means if length is None else np.append(means, means[-1:])[:length]
-
-
-def _persisting(deviations: Array, window: int) -> Array:
-    """(b,) covariance of trials' deviations (p, b) with themselves `window` bins later, mean over such a window.
-
-    What random pushes do to a servo is forgotten by then; where stiction holds a trial at a place of its own it is not.
-    """
-    if deviations.shape[1] <= 2 * window:
-        return np.full(deviations.shape[1], np.inf)
-    products = _mean(deviations[:, :-window] * deviations[:, window:], 0)
-    each = np.concatenate([np.full(window - window // 2, products[0]), products, np.full(window // 2, products[-1])])
-    return np.maximum(_around(each, window), 0.0)
 
 
 def _rounding(bins: Readings, tick: float, noise: float) -> Array:
