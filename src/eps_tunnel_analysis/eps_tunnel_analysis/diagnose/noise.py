@@ -83,7 +83,7 @@ def signal_noise(
         slow = np.maximum(spread - CHANCE * around, 0.0)
     motion = float(np.sqrt(np.var(bins.mean)))
     rounding = _rounding(bins, tick, max(white - tick**2 / 12.0, 0.0))
-    early = timing / trials * _slope(bins)  # of the mean, as far as its trials do not tell it by themselves
+    early = timing / np.sqrt(trials) * _slope(bins)
     allowed = (tolerance * motion) ** 2 + early**2
     floor = np.sqrt(around / trials + rounding + slow + allowed)
     # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
