@@ -158,6 +158,12 @@ def test_a_base_within_the_noise_lacks_nothing() -> None:
     assert probabilities({(): 1.0, ("a.x",): 0.97})[NONE] > 0.9
 
 
+def test_the_gate_lies_between_a_healthy_rig_and_what_shows() -> None:
+    """In floors, whatever the settings say: of 1.3 little is missing, and 2 of which an effect leaves 1 are no noise."""
+    healthy, lacking = (probabilities({(): base, ("a.x",): 1.0})[NONE] for base in (1.3, 2.0))
+    assert lacking < 0.1 < 0.5 < healthy
+
+
 def test_what_explains_all_is_named_and_what_explains_half_is_not() -> None:
     named = probabilities({(): 100.0, **numbered([0.9, 60.0])})
     assert max(named, key=lambda n: named[n]) == "e0.x"
