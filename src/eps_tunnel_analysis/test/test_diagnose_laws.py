@@ -159,7 +159,7 @@ def test_a_base_within_the_noise_lacks_nothing() -> None:
 
 
 def test_the_gate_lies_between_a_healthy_rig_and_what_shows() -> None:
-    """In floors, whatever the settings say: of 1.3 little is missing, and 2 of which an effect leaves 1 are no noise."""
+    """In floors, whatever the settings say: of 1.3 little is missing; 2, of which an effect leaves 1, are no noise."""
     healthy, lacking = (probabilities({(): base, ("a.x",): 1.0})[NONE] for base in (1.3, 2.0))
     assert lacking < 0.1 < 0.5 < healthy
 
