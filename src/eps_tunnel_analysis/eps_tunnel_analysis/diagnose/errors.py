@@ -10,11 +10,11 @@ from eps_tunnel_analysis.alikeness import Span
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.ball import sees_ball
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
+from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.simulated import Play, roll_out
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 
-KS = (1.0, 2.0, 3.0, 5.0)
 SHORTEST = 0.05  # s, of a span outside the tunnel that is listed
 
 
@@ -67,7 +67,7 @@ def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
         positions = [m.signal for m in model.rig.measured if m.quantity == "position"]
         positions += BALL_SIGNALS if sees_ball(model, [play]) else ()
         names = [name for name in positions if name in play.trials.signals]
-        found.append(compare(play.trials.select(names), roll_out(model, play).select(names), KS))
+        found.append(compare(play.trials.select(names), roll_out(model, play).select(names)))
     return found
 
 
@@ -88,7 +88,8 @@ def errors_of(
 
 
 def _mean_error(comparisons: Sequence[Comparison], unit: str) -> float:
-    return float(np.nanmean([e.command_error for c in comparisons for e in c.errors if e.unit == unit]))
+    every = [e for c in comparisons for e in c.errors]
+    return mean_error([e.command_error for e in every], [e.unit for e in every], unit)
 
 
 def play_errors(

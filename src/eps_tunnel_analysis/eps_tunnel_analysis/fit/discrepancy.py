@@ -15,13 +15,13 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library, starts
 from eps_tunnel_analysis.diagnose.evidence import play_evidence
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.intervals import autocorrelation_length
 from eps_tunnel_analysis.fit.problem import Objective, Problem
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
 
-VISIBLE = 1.6  # times the noise floor, mean squares: less may be noise, and nothing is looked for
 ROWS = 4  # strengths at which an effect is tried
 AGAIN = 8  # effects that are tried again at the strength that explains most
 STRONGEST = 3.0  # times a strength that was tried
@@ -69,7 +69,7 @@ def discrepancy(
     """
     nothing = Discrepancy(np.empty((0, problem.size)))
     values = problem.from_unit(z)
-    if not np.isfinite(slopes).all() or _misfit(objective, plays, objective(values[None])[0]) <= VISIBLE:
+    if not np.isfinite(slopes).all() or _misfit(objective, plays, objective(values[None])[0]) <= SETTINGS.healthy:
         return nothing
     model = objective.model.with_values(dict(zip(problem.names, values.tolist(), strict=True)))
     lib = library(model, (), any(s in objective.signals for s in BALL_SIGNALS))

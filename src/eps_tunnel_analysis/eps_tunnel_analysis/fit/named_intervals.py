@@ -15,7 +15,7 @@ from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.base_values import sensed_joints
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.fit.discrepancy import VISIBLE, shifts_of
+from eps_tunnel_analysis.fit.discrepancy import shifts_of
 from eps_tunnel_analysis.fit.intervals import intervals, widened
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
@@ -87,7 +87,7 @@ def _by_start(search: Search, refit: Refit, inverse: Array) -> Array:
 
 def _by_effects(search: Search, refit: Refit, slopes: Array, inverse: Array) -> Array:
     """(k,) by how much an effect that is still missing may have shifted values."""
-    if refit.cost <= VISIBLE:
+    if refit.cost <= SETTINGS.healthy:
         return np.zeros(len(inverse))
     others = [c for c in search.library.candidates if c.name not in refit.effects]
     search.settle_at(refit)

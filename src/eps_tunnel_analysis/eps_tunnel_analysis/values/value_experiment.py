@@ -17,6 +17,7 @@ from scipy.stats import norm
 from eps_tunnel_analysis.diagnose.evidence import play_evidence
 from eps_tunnel_analysis.diagnose.experiment import RATE, STEP, STOP
 from eps_tunnel_analysis.diagnose.menu import menu
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import moved
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, free_parameters
 from eps_tunnel_analysis.outputs import plain
@@ -35,7 +36,6 @@ BACK = 0.4  # s to return to rest after a command that ends elsewhere
 DIFFERENCE = 1e-3  # of the finite differences, normalised
 PRIOR = 1.0  # deviation, in shares of the bounds' span, that is known of a value without any recording
 NOISE = 3e-4  # rad or m, of a sensor of which nothing is known
-CORRELATED = 20.0  # samples that one independent one is worth: of residuals of such motions
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _of_answers(answers: Array, steps: Array, signals: Sequence[str], noise: Map
     """(k, k) from answers (1 + k, T, m)."""
     sigma = np.array([noise[s] for s in signals])
     slopes = np.nan_to_num((answers[1:] - answers[0]) / sigma).reshape(len(steps), -1) / steps[:, None]
-    return np.asarray(slopes @ slopes.T) / CORRELATED
+    return np.asarray(slopes @ slopes.T) / SETTINGS.correlated
 
 
 def _noise(model: Model, plays: Sequence[Play]) -> dict[str, float]:
