@@ -139,9 +139,10 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
         if result.objective > (1.0 - STANDS) * before.objective:
             break
     if first:
-        folds = search.levels["exact"].fold(SETTINGS.block)[search.used]
-        search.see_ticks(result.values, search.ticks_agree(result, folds))
-        result = search.judged([((), result.values)], BASE_ROUNDS)[0]
+        agreement = search.ticks_agree(result, search.levels["exact"].fold(SETTINGS.block)[search.used])
+        if agreement.any():
+            search.see_ticks(result.values, agreement)
+            result = search.judged([((), result.values)], BASE_ROUNDS)[0]
     search.settle_at(result)
     return result
 
