@@ -64,9 +64,8 @@ def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
     """A model against each play, positions only, the ball's where it was seen, at the rig's own step."""
     found = []
     for play in plays:
-        positions = [m.signal for m in model.rig.measured if m.quantity == "position"]
-        positions += BALL_SIGNALS if sees_ball(model, [play]) else ()
-        names = [name for name in positions if name in play.trials.signals]
+        ball = BALL_SIGNALS if sees_ball(model, [play]) else ()
+        names = [name for name in (*model.rig.positions, *ball) if name in play.trials.signals]
         found.append(compare(play.trials.select(names), roll_out(model, play).select(names)))
     return found
 
