@@ -150,7 +150,7 @@ def addition_of(
     given, before = v.ball[:2] if rolls else (v.given, v.before)
     values = final.values()
     fitted = [n for axis in axes for n in (*axis.part.base, *(p for c in axis.own(chosen) for p in c.parameters))]
-    doubts = tuple(text for axis in axes for text in _doubts(axis, chosen))
+    doubts = tuple(text for axis in axes for text in _doubts(axis, chosen, values))
     return Addition(
         tuple(names), final, given, before, after, (*v.plays[:2], last), {n: values[n] for n in fitted},
         named_intervals(axes, chosen, final), doubts, unit, v.rig_against_itself,
@@ -182,20 +182,21 @@ def _fitted(axis: AxisDiagnosis, candidates: Sequence[Candidate]) -> Refit:
     return replace(best, converged=best.cost <= MISFITTED * start)
 
 
-def _doubts(axis: AxisDiagnosis, names: Collection[str]) -> list[str]:
-    """What is doubtful about the refit of these effects on one axis."""
+def _doubts(axis: AxisDiagnosis, names: Collection[str], fitted: Mapping[str, float]) -> list[str]:
+    """What is doubtful about the fitted values of these effects on one axis."""
     search, own = axis.search, axis.own(names)
     refit = axis.acting(names)
-    columns = search.fitted(refit)
+    columns = np.array(search.fitted(refit), dtype=int)
+    values = np.array([fitted[search.library.names[i]] for i in columns])
     low, high = search.low[columns], search.high[columns]
-    near = np.minimum(refit.values[columns] - low, high - refit.values[columns]) < AT_BOUND * (high - low)
+    near = np.minimum(values - low, high - values) < AT_BOUND * (high - low)
     # A drive's value that stays as stated is no finding; an effect's that stays switched off is one.
-    kept = np.abs(refit.values - search.start)[columns] < AT_BOUND * (high - low)
-    near &= ~kept | (np.array(columns) >= len(search.library.base))
+    kept = np.abs(values - search.start[columns]) < AT_BOUND * (high - low)
+    near &= ~kept | (columns >= len(search.library.base))
     said = [
-        f"{search.library.names[i]} lies at its bound, {refit.values[i]:.4g}: the truth may lie beyond, or it stands "
+        f"{search.library.names[i]} lies at its bound, {value:.4g}: the truth may lie beyond, or it stands "
         "in for something else."
-        for i in np.array(columns)[near]
+        for i, value in zip(columns[near], values[near], strict=True)
     ]
     if own and not refit.converged:
         said.append(f"The fit of {' + '.join(refit.effects)} has not converged: other values may fit better.")

@@ -154,6 +154,11 @@ def axes_of(model: Model, effect: Effect, place: str) -> tuple[str, ...]:
     return (place,)
 
 
+def is_rough(candidate: Candidate) -> bool:
+    """Whether its misfit is rough, so that what a start promises says little: of the ball, which meets walls."""
+    return not candidate.axes and len(candidate.declared) == 1
+
+
 def starts(candidate: Candidate) -> Array:
     """Values (s, k) of a candidate's parameters from which to look.
 
@@ -172,7 +177,7 @@ def starts(candidate: Candidate) -> Array:
         ticks = np.repeat(rows, len(tried), axis=0)
         ticks[:, 0] = np.tile(tried, len(rows))
         return ticks
-    if not candidate.axes and len(declared) == 1:  # of the ball: walls make the misfit rough
+    if is_rough(candidate):
         spread = np.linspace(declared[0].low, declared[0].high, BALL_VALUES)[:, None]
         return spread[spread[:, 0] != declared[0].off]
     switching = [p for p in declared if p.off is not None]

@@ -86,15 +86,19 @@ class Refit:
 
 @dataclass(frozen=True)
 class TrialPoint:
-    """A candidate at (K,) values, and the cost it promises: with as much of its change as helps, to first order.
+    """A candidate at (K,) values.
 
-    `on` counts the refits on top of which it was tried.
+    Attributes:
+        promised: the cost with as much of its change as helps, to first order.
+        there: the cost at the values themselves.
+        on: which of the refits it was tried on top of.
     """
 
     candidate: Candidate
     values: Array
     promised: float
-    on: int = 0
+    there: float
+    on: int
 
 
 def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
@@ -459,8 +463,9 @@ class Search:
                 change = answers - (answers @ basis) @ basis.T - here
                 share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
                 left = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
-                batch = zip(pending[low : low + AT_ONCE], left, strict=True)
-                points += [TrialPoint(c, v, float(p), number) for (c, v), p in batch]
+                there = np.sum((here + change) ** 2, axis=1) / len(refit.residuals)
+                batch = zip(pending[low : low + AT_ONCE], left, there, strict=True)
+                points += [TrialPoint(c, v, float(p), float(t), number) for (c, v), p, t in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
     def at(self, values: Array, like: Refit) -> Refit:
