@@ -35,7 +35,7 @@ EFFECT = Effect(
     title="Gravity load (unbalanced board)",
     physics="The centre of mass of what is turned lies beside the axis, so that gravity pulls to one side.",
     equation="torque = M g cos(angle), M = mass times distance, at 50 mm from the axis",
-    parameters=(Parameter("moment", "kg m", -0.05, 0.05, 0.0, 0.01, "a board of 0.3 kg has +-0.04 kg m at its edge"),),
+    parameters=(Parameter("moment", "kg m", -0.25, 0.25, 0.0, 0.01, "a quarter of what a servo of 10 N m can hold"),),
     stage="mjcf",
     mark="The axis settles to one side of every target by nearly the same angle, and rises slower than it falls.",
     shows="offset",
