@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from eps_tunnel_analysis.fit import lockstep
 from eps_tunnel_analysis.fit.lockstep import descend
 
 TIME = np.linspace(0.0, 2.0, 300)
@@ -108,3 +109,19 @@ def test_cheap_slopes_lead_to_the_same_place_and_dear_ones_take_over_where_they_
     asked.clear()
     descend(counted, starts, free, rounds=3, tolerance=1e-12, slopes=off)
     assert asked == [1, 3, 3, 3]  # the start, and the steps that are tried
+
+
+def test_a_slope_that_is_rough_close_by_is_taken_from_further_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = np.random.default_rng(0)
+    directions, target = drawn.standard_normal((60, 3)), np.array([0.3, 0.6, 0.5])
+    waves, phases = 400.0 * drawn.standard_normal((60, 3)), drawn.uniform(0.0, 2.0 * np.pi, 60)
+
+    def rough(z, owners):
+        return 30.0 * (z - target) @ directions.T + np.sin(z @ waves.T + phases)
+
+    def end() -> float:
+        return float(descend(rough, np.full((4, 3), 0.8), np.ones((4, 3), bool), 20, response=0.5).cost.max())
+
+    seen = end()
+    monkeypatch.setattr(lockstep, "WIDER", 1.0)
+    assert seen < 1.0 and end() > 2.0 * seen

@@ -20,6 +20,7 @@ TRUST = 1e-12
 LEAST_DAMPED = 1e-3  # damping of the step whose gain the slopes promise
 LEAST_PROMISE = 10.0  # times the tolerance, for which slopes that led nowhere are taken again, by the simulator
 RESCALED = 10.0  # times by which a finite difference grows or shrinks from round to round, at most
+WIDER = 10.0  # times by which finite differences grow before a problem rests
 SMALLEST_STEP, LARGEST_STEP = 1e-6, 0.05  # finite differences, normalised
 
 #: (n, K) normalised values and (n,) the problem each row belongs to -> (n, R) residuals, NaN rows where diverged.
@@ -69,7 +70,8 @@ def descend(
         tolerance: relative gain below which a problem rests.
         hopeless: told the costs (B,) after each round, says whom to stop early.
         response: root mean square by which a finite difference is to change the residuals; each is adapted to that.
-            Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope.
+            Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope; a problem that
+            gets no further goes on with wider ones before it rests.
         slopes: a cheaper simulator, whose slopes stand in for the simulator's until a problem gets no further by them.
     """
     z = np.clip(np.array(starts, dtype=np.float64), 0.0, 1.0)
@@ -84,6 +86,18 @@ def descend(
     converged = ~free.any(axis=1) | (cost == 0.0)
     jacobians: dict[int, tuple[Array, NDArray[np.int64]]] = {}
     cheap = np.full(count, slopes is not None)
+    wide = np.ones(count)
+
+    def stuck(b: int) -> None:
+        """Goes on with wider finite differences, or lets a problem rest that has them already."""
+        if response is None or wide[b] == WIDER:
+            rest[b] = converged[b] = True
+            return
+        wide[b] = WIDER
+        damping[b] = 1e-2
+        steps[b] = np.minimum(steps[b] * WIDER, LARGEST_STEP)
+        jacobians.pop(b, None)
+
     for _ in range(rounds):
         active = everyone[~rest]
         if len(active) == 0:
@@ -101,7 +115,7 @@ def descend(
             evaluations += used
             if response is not None:
                 for b, (found, columns) in fresh.items():
-                    steps[b, columns] = _adapted(steps[b, columns], found, response)
+                    steps[b, columns] = _adapted(steps[b, columns], found, response * wide[b])
         tried = np.repeat(active, len(DAMPINGS))
         factors = np.tile(DAMPINGS, len(active)) * damping[tried]
         proposals = np.array([_step(z[b], at[b], *jacobians[b], f) for b, f in zip(tried, factors, strict=True)])
@@ -117,7 +131,7 @@ def descend(
                     continue
                 damping[b] *= 30.0
                 if damping[b] > 1e6:
-                    rest[b] = converged[b] = True
+                    stuck(int(b))
                 continue
             gain = 1.0 - costs[row, winner] / cost[b]
             pick = row * len(DAMPINGS) + winner
@@ -125,10 +139,10 @@ def descend(
             del jacobians[int(b)]
             damping[b] = np.clip(factors[pick] / 3.0, 1e-9, 1e6)
             if gain < tolerance:
-                rest[b] = converged[b] = True
+                stuck(int(b))
         if hopeless is not None:
             rest |= hopeless(cost)
-    return Descent(z, cost, at, converged, steps, evaluations)
+    return Descent(z, cost, at, converged, steps / wide[:, None], evaluations)
 
 
 def _cost(residuals: Array) -> Array:
