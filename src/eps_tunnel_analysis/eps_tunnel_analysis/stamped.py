@@ -137,6 +137,7 @@ class Readings:
         single: (p, b) what each trial says of each bin, brought to the bin's mean stamp along the motion's slope; NaN
             where it has no sample.
         stamps: (p, b) s, mean stamp of each trial's samples; NaN where it has none.
+        counts: (p, b) how many samples each trial has in each bin.
     """
 
     time: Array
@@ -144,6 +145,7 @@ class Readings:
     reading: sparse.csr_array
     single: Array
     stamps: Array
+    counts: NDArray[np.int64]
 
 
 def readings(
@@ -187,7 +189,7 @@ def readings(
     moments = np.bincount(flat, time, shape[0] * shape[1]).reshape(shape)
     with np.errstate(invalid="ignore"):
         single, stamps = sums / counts, moments / counts
-    return Readings(mean_time, mean, entries.tocsr(), single, stamps)
+    return Readings(mean_time, mean, entries.tocsr(), single, stamps, counts)
 
 
 def _cubic(time: Array, step: float, count: int) -> tuple[Array, Array, Array]:

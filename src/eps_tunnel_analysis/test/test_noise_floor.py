@@ -2,6 +2,7 @@
 """The noise floor by numbers: white noise, ticks with and without dither, drift, and what does not matter."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,15 @@ def test_white_noise_of_the_mean_falls_with_the_root_of_the_trials(trials: int) 
     assert noise.single == pytest.approx(SIGMA, rel=0.1)
     assert middle(noise) == pytest.approx(SIGMA / np.sqrt(trials), rel=0.1)
     assert noise.tick == 0.0
+
+
+@pytest.mark.parametrize("trials", [2, 3, 8])
+def test_white_noise_has_mean_square_one_however_many_samples_of_each_trial_fall_into_a_bin(trials: int) -> None:
+    bins, raw = bins_of(trials, trials, noisy, jitter=5e-3)
+    assert len(set(bins.counts.sum(axis=0))) > 2, "bins are full by chance"
+    noise = signal_noise(bins, raw, WIDTH)
+    off = bins.mean - bins.reading @ motion(GRID)
+    assert np.mean((off / noise.floor) ** 2) == pytest.approx(1.0, abs=0.12)
 
 
 def test_rounding_without_noise_is_the_same_in_all_trials_and_does_not_average_out() -> None:
@@ -112,14 +122,14 @@ def test_noise_that_is_larger_for_a_while_counts_where_it_is() -> None:
 def test_a_signal_in_another_unit_or_the_other_way_round_has_its_floor_in_that_unit(by: float) -> None:
     bins, raw = bins_of(5, 4, rounded(0.3 * TICK))
     one = signal_noise(bins, raw, WIDTH, TICK, 0.005, 3e-4)
-    scaled = Readings(bins.time, by * bins.mean, bins.reading, by * bins.single, bins.stamps)
+    scaled = replace(bins, mean=by * bins.mean, single=by * bins.single)
     other = signal_noise(scaled, [by * r for r in raw], WIDTH, abs(by) * TICK, 0.005, 3e-4)
     assert other.floor == pytest.approx(abs(by) * one.floor, rel=1e-6)
 
 
 def test_the_order_of_trials_does_not_matter() -> None:
     bins, raw = bins_of(5, 5, noisy)
-    turned = Readings(bins.time, bins.mean, bins.reading, bins.single[::-1], bins.stamps[::-1])
+    turned = replace(bins, single=bins.single[::-1], stamps=bins.stamps[::-1], counts=bins.counts[::-1])
     one, other = (signal_noise(b, r, WIDTH) for b, r in ((bins, raw), (turned, raw[::-1])))
     assert other.floor == pytest.approx(one.floor, rel=1e-9)
 

@@ -16,6 +16,8 @@ TICK_SHARE = 1.1  # of a known tick: how well the one in the samples is seen
 MEDIAN = 0.6745  # of the size of a Gaussian of deviation 1
 BENDS = 20.0  # variance of third differences of noise of variance 1
 HARMONICS = 5  # of a sensor's ticks
+INDEPENDENT = 2.0 / 3.0  # share of changes from bin to bin that tell something new, of white noise
+LEAST_FREEDOM = 6.0  # degrees of freedom of a variance at least
 WHOLE = 0.9  # share of a quantised signal's changes that are multiples of its tick
 
 
@@ -63,38 +65,53 @@ def signal_noise(
         tolerance: share of the motion's root mean square that does not matter.
         timing: s, by how much one trial may be early or late.
     """
-    trials = bins.single.shape[0]
-    mean = _mean(bins.single, 0)
-    deviations = bins.single - mean
-    share = trials / max(trials - 1, 1)
-    repeat = _mean(deviations**2, None) * share
+    trials, samples = bins.single.shape[0], bins.counts.sum(axis=0)
+    # A bin in which one trial alone has samples says nothing of what repeats.
+    repeated = np.where((bins.counts > 0).sum(axis=0) > 1, bins.counts, 0)
+    with np.errstate(divide="ignore"):
+        alone = np.where(repeated > 0, 1.0 / repeated - 1.0 / samples, np.nan)  # variance of a deviation, per sample's
+    deviations = np.where(repeated > 0, bins.single - bins.mean, np.nan)
     jumps = np.diff(deviations, axis=1)
-    white = min(0.5 * _mean(jumps**2, None) * share, repeat) if trials > 1 else _roughness(bins.single[0])
+    squares, freedom = np.nansum(repeated * deviations**2, axis=0), np.nansum(repeated * alone, axis=0)
+    changes, turns = np.nansum(jumps**2, axis=0), np.nansum(alone[:, 1:] + alone[:, :-1], axis=0)
+    repeats = bool(turns.any())
+    repeat = squares.sum() / freedom.sum() if repeats else 0.0
+    often = float(np.mean(samples)) / trials  # samples of a trial in a bin
+    white = min(changes.sum() / turns.sum(), repeat) / often if repeats else _roughness(bins.single[0])
     tick = resolution(raw)
     if tick > TICK_SHARE * (known_tick or np.inf):
         tick = 0.0
     window = max(1, round(DRIFT / width))
     around: float | Array = white  # an effort, say, is noisier in motion than at rest
     slow: float | Array = 0.0
-    if trials > 1:
+    if repeats:
         # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
-        spread = _around(_mean(deviations**2, 0), window) * share
-        around = np.minimum(0.5 * _around(_mean(jumps**2, 0), window, len(bins.time)) * share, spread)
+        inside = _sum(freedom, window)
+        spread = _variance(_sum(squares, window), inside, repeat) / often
+        changing = _variance(_sum(np.append(changes, 0.0), window), _sum(np.append(turns, 0.0), window), white * often)
+        around = np.minimum(changing / often, spread)
         slow = np.maximum(spread - CHANCE * around, 0.0)
+        # What is divided by a deviation known from few samples has Student's distribution, which is wider.
+        known = np.maximum(INDEPENDENT * inside, LEAST_FREEDOM)
+        around *= known / (known - 2.0)
     motion = float(np.sqrt(np.var(bins.mean)))
     rounding = _rounding(bins, tick, max(white - tick**2 / 12.0, 0.0))
     early = timing / np.sqrt(trials) * _slope(bins)
     allowed = (tolerance * motion) ** 2 + early**2
-    floor = np.sqrt(around / trials + rounding + slow + allowed)
+    floor = np.sqrt(around * often / samples + rounding + slow + allowed)
     # A recording without any noise (a simulation's, say) still has the numbers' own rounding.
     least = 1e-7 * max(float(np.ptp(bins.mean)), 1e-3)
     return SignalNoise(bins.time, bins.mean, float(np.sqrt(white)), tick, np.maximum(floor, least))
 
 
-def _around(values: Array, window: int, length: int | None = None) -> Array:
-    """(b,) running means of values, (b,) or one fewer where `length` is b."""
-    means = uniform_filter1d(np.nan_to_num(values), window, mode="nearest")
-    return means if length is None else np.append(means, means[-1:])[:length]
+def _sum(values: Array, window: int) -> Array:
+    """(b,) sums of values (b,) over a window around each."""
+    return window * uniform_filter1d(np.asarray(values, dtype=np.float64), window, mode="nearest")
+
+
+def _variance(squares: Array, freedom: Array, otherwise: float) -> Array:
+    """(b,) variances from sums of squares (b,) and their degrees of freedom (b,); `otherwise` where there are none."""
+    return np.where(freedom > 1e-9, squares / np.maximum(freedom, 1e-9), otherwise)
 
 
 def _rounding(bins: Readings, tick: float, noise: float) -> Array:

@@ -70,8 +70,8 @@ def descend(
         tolerance: relative gain below which a problem rests.
         hopeless: told the costs (B,) after each round, says whom to stop early.
         response: root mean square by which a finite difference is to change the residuals; each is adapted to that.
-            Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope; a problem that
-            gets no further goes on with wider ones before it rests.
+            Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope; a problem
+            that gets no further goes on with wider ones before it rests.
         slopes: a cheaper simulator, whose slopes stand in for the simulator's until a problem gets no further by them.
     """
     z = np.clip(np.array(starts, dtype=np.float64), 0.0, 1.0)
