@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
-from eps_tunnel_analysis.diagnose.candidates import Candidate, is_rough, starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import UNREPEATED, Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Job, Refit, Search, TrialPoint, best_by_set
@@ -94,11 +94,8 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
         for on in list(dict.fromkeys(point.on for point in same))[:POINTS_EACH]:
             fitted = tuple(search.library.find(name) for name in points[on].effects)
             here = [point for point in same if point.on == on]
-            candidate = here[0].candidate
-            begun = here[: STARTS_EACH if len(candidate.parameters) > 1 else 1]
-            if is_rough(candidate):
-                begun.append(min(here, key=lambda point: point.there))
-            jobs += [((*fitted, candidate), point.values) for point in begun]
+            many = STARTS_EACH if len(here[0].candidate.parameters) > 1 else 1
+            jobs += [((*fitted, point.candidate), point.values) for point in here[:many]]
     return jobs
 
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, loosely_known, starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_rough, loosely_known, starts
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import jacobian
@@ -31,7 +31,7 @@ FEW_STARTS = 20
 SHORTLIST = 5  # sets of effects refitted from their trial points; so many are never given up
 FIRST_ROUNDS = 3  # after which the hopeless are given up
 SCAN = 24  # values tried around a tick, and again around the best of them; the first within
-SCANNED = 0.15  # of it
+SCANNED = 0.15  # of it; and around a value whose misfit is rough, of its bounds' span
 LEAST_JUDGED = 2
 OUT_OF_REACH = 5.0  # times the best cost: no exact step brings that down
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
@@ -90,14 +90,12 @@ class TrialPoint:
 
     Attributes:
         promised: the cost with as much of its change as helps, to first order.
-        there: the cost at the values themselves.
         on: which of the refits it was tried on top of.
     """
 
     candidate: Candidate
     values: Array
     promised: float
-    there: float
     on: int
 
 
@@ -379,7 +377,7 @@ class Search:
         best = ordered[:SHORTLIST]
         near = [r for i, r in enumerate(best) if i < LEAST_JUDGED or r.cost < OUT_OF_REACH * best[0].cost]
         judged = self.judged([(self._candidates(r), r.values) for r in near], FINE_ROUNDS)
-        return [*best_by_set(judged), *ordered[len(near) :]]
+        return [*best_by_set([*judged, *self._looked_around(judged)]), *ordered[len(near) :]]
 
     def judged(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
         """Jobs descended at the fine level, corrected at each one's own values by the exact one, and judged by that."""
@@ -428,6 +426,20 @@ class Search:
                 jobs.append((self._candidates(refit), best))
         return self.refit(jobs, FIRST_ROUNDS)
 
+    def _looked_around(self, refits: Sequence[Refit]) -> list[Refit]:
+        """Refits at the best of values around each one's rough ones, of whose misfit a slope says little."""
+        found = []
+        for refit in refits:
+            for column in (i for c in self._candidates(refit) if is_rough(c) for i in self.columns(c)):
+                around = np.tile(refit.values, (SCAN, 1))
+                reach = SCANNED * (self.high - self.low)[column]
+                around[:, column] += np.linspace(-reach, reach, SCAN)
+                around = np.clip(around, self.low, self.high)
+                residuals = self.residuals(around, "exact")
+                best = int(np.nanargmin(np.mean(residuals**2, axis=1)))
+                found.append(_with_residuals(replace(refit, values=around[best]), residuals[best]))
+        return found
+
     def _best_around(self, values: Array, column: int, reach: float) -> Array:
         """(K,) the best of values that differ in one by up to this share."""
         around = np.tile(values, (SCAN, 1))
@@ -463,9 +475,8 @@ class Search:
                 change = answers - (answers @ basis) @ basis.T - here
                 share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
                 left = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
-                there = np.sum((here + change) ** 2, axis=1) / len(refit.residuals)
-                batch = zip(pending[low : low + AT_ONCE], left, there, strict=True)
-                points += [TrialPoint(c, v, float(p), float(t), number) for (c, v), p, t in batch]
+                batch = zip(pending[low : low + AT_ONCE], left, strict=True)
+                points += [TrialPoint(c, v, float(p), number) for (c, v), p in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
     def at(self, values: Array, like: Refit) -> Refit:
