@@ -499,6 +499,19 @@ def test_every_candidate_has_starts_within_its_bounds() -> None:
             assert (rows[:, column] >= p.low).all() and (rows[:, column] <= p.high).all()
 
 
+def test_ticks_start_at_whole_multiples_of_a_known_one() -> None:
+    model = load_model("labyrinth_mx64")
+    register = model.values()["drive.x.goal_tick"]
+    found = library(model, [], only=["command_quantisation"]).find("command_quantisation.x")
+    tried, low, high = starts(found)[:, 0], found.declared[0].low, found.declared[0].high
+    assert register > 0.0 and low <= tried.min() and tried.max() <= high
+    for many in (2, 3, 8):
+        assert np.min(np.abs(tried / (many * register) - 1.0)) < 1e-12, "its valley is a thousandth wide"
+    assert len(starts(library(load_model("labyrinth_manual"), [], only=["command_quantisation"]).candidates[0])) < len(
+        tried
+    )
+
+
 def test_candidates_of_a_sliding_axis_start_within_the_bounds_of_its_size(tmp_path: Path) -> None:
     found = library(load_model(write_rig(tmp_path, slides=True)), ["drive.a.stiffness"])
     infos = found.model.parameters()

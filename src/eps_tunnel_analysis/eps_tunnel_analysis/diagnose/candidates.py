@@ -22,6 +22,7 @@ LIMITS = 7  # values of a limit, as of a torque's
 TICKS_APART = 1.056  # times the next finer, for the valley of a tick is some 4 % wide, and its edges are seen
 FINEST_TICK = 0.05  # of the typical one; the coarsest
 COARSEST_TICK = 0.95  # of the largest
+WHOLE = 64  # whole multiples of a known tick
 BALL_VALUES = 25
 MOST_CROSSED = 2  # values that only shape an effect, of which all combinations are tried
 
@@ -36,6 +37,7 @@ class Candidate:
         parameters: full names of its fitted parameters.
         given: its other parameters by short name, as the range of a curve.
         size: of the axis, by which its parameters' bounds and typical values grow.
+        register: the tick of the goals or the sensor at its place as a data sheet tells it; 0 where that is unknown.
     """
 
     effect: Effect
@@ -44,6 +46,7 @@ class Candidate:
     parameters: tuple[str, ...]
     given: Mapping[str, float] = field(default_factory=dict)
     size: Size = field(default_factory=Size)
+    register: float = 0.0
 
     @property
     def declared(self) -> tuple[Parameter, ...]:
@@ -128,7 +131,13 @@ def candidate(model: Model, effect: Effect, place: str, given: Mapping[str, floa
     parameters = tuple(f"{effect.name}.{place}.{p.name}" for p in effect.parameters if p.fitted)
     size = model.size(place)
     kept = {p.name: p.sized(size).typical for p in effect.parameters if not p.fitted} | dict(given or {})
-    return Candidate(effect, place, axes_of(model, effect, place), parameters, kept, size)
+    return Candidate(effect, place, axes_of(model, effect, place), parameters, kept, size, _register(model, place))
+
+
+def _register(model: Model, place: str) -> float:
+    """The tick that a data sheet tells of an axis's goals or of a sensor; 0 where none does."""
+    known = {m.signal: m.resolution for m in model.rig.measured}
+    return float(known.get(place) or model.values().get(f"drive.{place}.goal_tick", 0.0))
 
 
 def with_curves(lib: Library, ranges: Mapping[tuple[str, str], Mapping[str, float]]) -> Library:
@@ -174,6 +183,8 @@ def starts(candidate: Candidate) -> Array:
         rows += [[*rows[0][:k], p.high, *rows[0][k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low]
         finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
         tried = np.geomspace(finest, coarsest, round(np.log(coarsest / finest) / np.log(TICKS_APART)) + 1)
+        if candidate.register > 0.0:  # a register that lacks bits has whole multiples of its tick
+            tried = np.append(tried, candidate.register * np.arange(2, int(coarsest / candidate.register) + 1)[:WHOLE])
         ticks = np.repeat(rows, len(tried), axis=0)
         ticks[:, 0] = np.tile(tried, len(rows))
         return ticks
