@@ -17,6 +17,7 @@ from eps_tunnel_analysis.diagnose.ball import without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate, library
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.fit.differences import steps_within
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, ParameterInfo
 from labyrinth_sim.trials import Array
@@ -110,9 +111,7 @@ def _some(plays: Sequence[Play]) -> list[Play]:
 
 def _moved(start: Array, index: int, info: ParameterInfo) -> Array:
     row = start.copy()
-    step = _step(info)
-    above, below = info.high - row[index], row[index] - info.low
-    row[index] += min(step, above) if step <= above or above >= below else -min(step, below)
+    row[index] += steps_within(row[index], _step(info), info.low, info.high)
     return row
 
 

@@ -2,6 +2,7 @@
 """Options that several commands share."""
 
 import argparse
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -128,6 +129,14 @@ def positive(text: str) -> float:
     value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"must be a number above 0, got {text}")
+    return value
+
+
+def factor(text: str) -> float:
+    """An argparse type: a factor, of either sign."""
+    value = float(text)
+    if value == 0.0 or not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite factor that is not 0, got {text}")
     return value
 
 

@@ -6,6 +6,8 @@ import math
 import sys
 from pathlib import Path
 
+from eps_tunnel_analysis.cli.arguments import factor
+
 NAME = "import-csv"
 HELP = "Turns a table (CSV with one header line) into a bag, for rigs that log text."
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -32,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             required=name == "position", help=text,
         )  # fmt: skip
     parser.add_argument("--degrees", action="store_true", help="angles and speeds of the table are in deg and deg/s")
-    parser.add_argument("--scale", type=_factor, default=1.0, metavar="F",
+    parser.add_argument("--scale", type=factor, default=1.0, metavar="F",
                         help="factor from the table's angles and speeds to rad and rad/s, as of a sensor's ticks; on "
                         "top of --degrees")  # fmt: skip
     parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="of the times (default: %(default)s)")
@@ -52,13 +54,6 @@ def run(arguments: argparse.Namespace) -> None:
     for doubt in csv_to_bag(arguments.table, columns, arguments.out, arguments.namespace):
         print(doubt, file=sys.stderr)
     print(arguments.out)
-
-
-def _factor(text: str) -> float:
-    value = float(text)
-    if value == 0.0 or not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"expected a finite factor that is not 0, got {text}")
-    return value
 
 
 def _pair(text: str) -> tuple[str, str]:

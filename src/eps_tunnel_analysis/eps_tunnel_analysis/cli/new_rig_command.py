@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eps_tunnel_analysis.cli.arguments import add_threads_argument
+from eps_tunnel_analysis.cli.arguments import add_threads_argument, factor
 from eps_tunnel_analysis.outputs import new_folder, refuse_existing
 from eps_tunnel_analysis.terminal import console, print_next, rollout_progress
 
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="joint of the model and its name in the recordings, where they differ")  # fmt: skip
     parser.add_argument("--position-unit", choices=("rad", "deg", "m", "mm", "ticks"),
                         help="of recorded positions and targets (default: told from their reach)")  # fmt: skip
-    parser.add_argument("--ticks-per-turn", type=_factor, metavar="N",
+    parser.add_argument("--ticks-per-turn", type=factor, metavar="N",
                         help="for --position-unit ticks, as 4096; negative where they count the other way")  # fmt: skip
     parser.add_argument("--zero", nargs="+", type=_zero, default=[], metavar="[JOINT=]Z",
                         help="tick at which a joint of the model, or each, is at 0 (default: 0)")  # fmt: skip
@@ -126,13 +126,6 @@ def _pair(text: str) -> tuple[str, str]:
     if not (joint and equals and recorded):
         raise argparse.ArgumentTypeError(f"expected JOINT=RECORDED, got '{text}'")
     return joint, recorded
-
-
-def _factor(text: str) -> float:
-    value = float(text)
-    if value == 0.0 or not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"expected a finite number that is not 0, got {text}")
-    return value
 
 
 def _zero(text: str) -> tuple[str, float]:

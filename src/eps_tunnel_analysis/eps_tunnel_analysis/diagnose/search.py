@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_rough, loosely_known, starts
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.fit.differences import jacobian
+from eps_tunnel_analysis.fit.differences import jacobian, steps_within
 from eps_tunnel_analysis.fit.lockstep import descend
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.shown import shown
@@ -488,10 +488,8 @@ class Search:
         """(k, K) values of a refit with each of its fitted ones, the base's first, moved by a finite difference."""
         columns = self.fitted(refit)
         moved = np.tile(refit.values, (len(columns), 1))
-        steps = self._steps(refit)[columns] * (self.high - self.low)[columns]
-        above, below = (self.high - refit.values)[columns], (refit.values - self.low)[columns]
-        up = (steps <= above) | (above >= below)
-        steps = np.where(up, np.minimum(steps, above), -np.minimum(steps, below))
+        low, high = self.low[columns], self.high[columns]
+        steps = steps_within(refit.values[columns], self._steps(refit)[columns] * (high - low), low, high)
         moved[np.arange(len(columns)), columns] += steps
         return moved
 

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finite differences in the box [0, 1], as every descent and every interval takes them."""
+"""Finite differences within bounds, as every descent and every interval takes them."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labyrinth_sim.trials import Array
+
+
+def steps_within(at: Array, steps: Array | float, low: Array | float, high: Array | float) -> Array:
+    """(k,) steps (k,) from values (k,), with their signs: downwards where only there is room, and no further."""
+    above, below = high - at, at - low
+    return np.where((steps <= above) | (above >= below), np.minimum(steps, above), -np.minimum(steps, below))
 
 
 def moved(z: Array, step: float | Array, columns: NDArray[np.int64] | None = None) -> tuple[Array, Array]:
@@ -16,11 +22,10 @@ def moved(z: Array, step: float | Array, columns: NDArray[np.int64] | None = Non
         columns: (k,) of the values to move; all by default.
 
     Returns:
-        (k, K), z with one value moved in each row, and the (k,) signed steps: downwards where upwards leaves the box.
+        (k, K), z with one value moved in each row, and the (k,) signed steps.
     """
     which = np.arange(len(z)) if columns is None else columns
-    steps = np.broadcast_to(np.asarray(step, dtype=np.float64), z.shape)[which]
-    steps = np.where(z[which] + steps <= 1.0, steps, -steps)
+    steps = steps_within(z[which], np.broadcast_to(np.asarray(step, dtype=np.float64), z.shape)[which], 0.0, 1.0)
     points = np.tile(z, (len(which), 1))
     points[np.arange(len(which)), which] += steps
     return points, steps
