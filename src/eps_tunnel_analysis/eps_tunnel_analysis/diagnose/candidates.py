@@ -22,7 +22,7 @@ LIMITS = 7  # values of a limit, as of a torque's
 TICKS_APART = 1.056  # times the next finer, for the valley of a tick is some 4 % wide, and its edges are seen
 FINEST_TICK = 0.05  # of the typical one; the coarsest
 COARSEST_TICK = 0.95  # of the largest
-WHOLE = 64  # whole multiples of a known tick
+MULTIPLES = 64  # of a known tick
 BALL_VALUES = 25
 MOST_CROSSED = 2  # values that only shape an effect, of which all combinations are tried
 
@@ -184,7 +184,7 @@ def starts(candidate: Candidate) -> Array:
         finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
         tried = np.geomspace(finest, coarsest, round(np.log(coarsest / finest) / np.log(TICKS_APART)) + 1)
         if candidate.register > 0.0:  # a register that lacks bits has whole multiples of its tick
-            tried = np.append(tried, candidate.register * np.arange(2, int(coarsest / candidate.register) + 1)[:WHOLE])
+            tried = np.append(tried, candidate.register * np.arange(2, int(coarsest / candidate.register) + 1)[:MULTIPLES])
         ticks = np.repeat(rows, len(tried), axis=0)
         ticks[:, 0] = np.tile(tried, len(rows))
         return ticks
