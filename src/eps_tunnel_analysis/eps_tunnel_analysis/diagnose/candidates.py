@@ -184,7 +184,8 @@ def starts(candidate: Candidate) -> Array:
         finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
         tried = np.geomspace(finest, coarsest, round(np.log(coarsest / finest) / np.log(TICKS_APART)) + 1)
         if candidate.register > 0.0:  # a register that lacks bits has whole multiples of its tick
-            tried = np.append(tried, candidate.register * np.arange(2, int(coarsest / candidate.register) + 1)[:MULTIPLES])
+            most = min(int(coarsest / candidate.register), MULTIPLES)
+            tried = np.append(tried, candidate.register * np.arange(2, most + 1))
         ticks = np.repeat(rows, len(tried), axis=0)
         ticks[:, 0] = np.tile(tried, len(rows))
         return ticks
