@@ -4,7 +4,6 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,14 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_recordings import write_rig
 
 from eps_tunnel_analysis.diagnose import rank as rank_module
 from eps_tunnel_analysis.diagnose.axes import axis_verdict
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, inexact_share
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, joined
 from eps_tunnel_analysis.diagnose.base_values import Bases
-from eps_tunnel_analysis.diagnose.candidates import library, starts
+from eps_tunnel_analysis.diagnose.candidates import library
 from eps_tunnel_analysis.diagnose.rank import (
     NONE,
     UNKNOWN,
@@ -36,7 +34,6 @@ from eps_tunnel_analysis.diagnose.rank import (
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, decide, sentence
-from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 from labyrinth_sim.registry import Registry
 
@@ -487,48 +484,6 @@ def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
 
 def test_names_do_not_depend_on_the_order_in_which_effects_were_added() -> None:
     assert name_of(["b.y", "a.x"]) == name_of(["a.x", "b.y"]) == "a.x + b.y"
-
-
-def test_every_candidate_has_starts_within_its_bounds() -> None:
-    found = library(load_model("labyrinth_manual"), ["drive.x.p"])
-    assert {"backlash.x", "sensor_gain.board_y"} <= {c.name for c in found.candidates}
-    for candidate in found.candidates:
-        rows = starts(candidate)
-        assert len(rows)
-        for column, p in enumerate(candidate.effect.parameters):
-            assert (rows[:, column] >= p.low).all() and (rows[:, column] <= p.high).all()
-
-
-def test_ticks_start_at_whole_multiples_of_a_known_one() -> None:
-    model = load_model("labyrinth_mx64")
-    register = model.values()["drive.x.goal_tick"]
-    found = library(model, [], only=["command_quantisation"]).find("command_quantisation.x")
-    tried, low, high = starts(found)[:, 0], found.declared[0].low, found.declared[0].high
-    assert register > 0.0 and low <= tried.min() and tried.max() <= high
-    for many in (2, 3, 8):
-        assert np.min(np.abs(tried / (many * register) - 1.0)) < 1e-12, "its valley is a thousandth wide"
-    assert len(starts(library(load_model("labyrinth_manual"), [], only=["command_quantisation"]).candidates[0])) < len(
-        tried
-    )
-
-
-def test_candidates_of_a_sliding_axis_start_within_the_bounds_of_its_size(tmp_path: Path) -> None:
-    found = library(load_model(write_rig(tmp_path, slides=True)), ["drive.a.stiffness"])
-    infos = found.model.parameters()
-    for candidate in found.candidates:
-        for column, name in enumerate(candidate.parameters):
-            values = starts(candidate)[:, column]
-            assert (values >= infos[name].low).all() and (values <= infos[name].high).all(), name
-
-
-def test_an_effect_in_the_model_is_no_candidate() -> None:
-    model = load_model("labyrinth_manual").with_effect("backlash", "x")
-    assert "backlash.x" not in {c.name for c in library(model, []).candidates}
-
-
-def test_an_unknown_effect_is_refused_with_the_names() -> None:
-    with pytest.raises(InputError, match="backlash"):
-        library(load_model("labyrinth_manual"), [], only=["blacklash"])
 
 
 # ---- several axes

@@ -142,7 +142,7 @@ def test_ticks_count_less_the_more_the_rig_s_do_the_same_as_the_model_s(
     back = replace(made, commands=made.commands - apart * tick, values=made.values - beside)
     search = part_search(coarse, [Play("ticks", back)])
     here = search.at(search.start, refit(search, (), 1.0))
-    found = search.ticks_agree(here, search.levels["exact"].fold(SETTINGS.block)[search.used])
+    found = search.ticks_agree(here)
     motor = search.evidence.signals.index("motor_x")
     assert (found[motor] > 0.5) == agrees
     before = search.scale[search.signal == motor].copy()

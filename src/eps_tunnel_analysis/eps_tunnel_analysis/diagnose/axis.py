@@ -387,7 +387,7 @@ def _judged(
     tried = len(search.library.candidates)
     # What the base leaves of all samples says whether anything is missing; left-out ones, what explains it.
     whole = replace(alone, left_out=base.residuals)
-    ranked = partial(rank, whole, hypotheses, folds_of(search), search.blocks, tried, level=level,
+    ranked = partial(rank, whole, hypotheses, search.folds, search.blocks, tried, level=level,
                      drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
     even = ranked()
     found = AxisDiagnosis(
@@ -448,13 +448,8 @@ def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> 
     columns = search.fitted(refit)
     span = (search.high - search.low)[columns]
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
-    left = left_out(search.jacobian(refit), refit.residuals, folds_of(search), room, search.firmness[columns])
+    left = left_out(search.jacobian(refit), refit.residuals, search.folds, room, search.firmness[columns])
     return Hypothesis(refit, left, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values))
-
-
-def folds_of(search: Search) -> NDArray[np.int64]:
-    """(R,) the stretch of time to which each residual belongs."""
-    return search.levels["exact"].fold(SETTINGS.block)[search.used]
 
 
 def floor_known(plays: Sequence[Play]) -> bool:

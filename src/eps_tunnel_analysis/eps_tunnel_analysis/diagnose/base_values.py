@@ -11,7 +11,6 @@ from scipy.stats import qmc
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
-from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
@@ -139,7 +138,7 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
         if result.objective > (1.0 - STANDS) * before.objective:
             break
     if first:
-        agreement = search.ticks_agree(result, search.levels["exact"].fold(SETTINGS.block)[search.used])
+        agreement = search.ticks_agree(result)
         if agreement.any():
             search.see_ticks(result.values, agreement)
             result = search.judged([((), result.values)], BASE_ROUNDS)[0]

@@ -131,13 +131,17 @@ def candidate(model: Model, effect: Effect, place: str, given: Mapping[str, floa
     parameters = tuple(f"{effect.name}.{place}.{p.name}" for p in effect.parameters if p.fitted)
     size = model.size(place)
     kept = {p.name: p.sized(size).typical for p in effect.parameters if not p.fitted} | dict(given or {})
-    return Candidate(effect, place, axes_of(model, effect, place), parameters, kept, size, _register(model, place))
+    axes, register = axes_of(model, effect, place), _register(model, effect, place)
+    return Candidate(effect, place, axes, parameters, kept, size, register)
 
 
-def _register(model: Model, place: str) -> float:
-    """The tick that a data sheet tells of an axis's goals or of a sensor; 0 where none does."""
-    known = {m.signal: m.resolution for m in model.rig.measured}
-    return float(known.get(place) or model.values().get(f"drive.{place}.goal_tick", 0.0))
+def _register(model: Model, effect: Effect, place: str) -> float:
+    """The tick that a data sheet tells of a sensor or of an axis's goals, which may share a name; 0 where none does."""
+    if effect.where == "signal":
+        return next((m.resolution for m in model.rig.measured if m.signal == place), 0.0)
+    drive = model.drives.get(place)
+    goal_tick = drive.values.get("goal_tick") if drive else None
+    return goal_tick.value if goal_tick else 0.0
 
 
 def with_curves(lib: Library, ranges: Mapping[tuple[str, str], Mapping[str, float]]) -> Library:

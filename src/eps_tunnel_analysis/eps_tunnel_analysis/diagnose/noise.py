@@ -127,7 +127,7 @@ def _rounding(bins: Readings, tick: float, noise: float) -> Array:
     total = np.zeros(len(bins.time))
     for k in range(1, HARMONICS + 1):
         turn = 2.0 * np.pi * k / tick
-        phasor = np.abs(_mean(np.exp(1j * turn * angle), 0)) ** 2
+        phasor = np.abs(_mean(np.exp(1j * turn * angle))) ** 2
         total += tick**2 / (2.0 * np.pi**2 * k**2) * phasor * np.exp(-(turn**2) * noise)
     return np.nan_to_num(total)
 
@@ -147,11 +147,11 @@ def _slope(bins: Readings) -> Array:
     return np.gradient(bins.mean, bins.time) if len(bins.time) > 1 else np.zeros(len(bins.time))
 
 
-def _mean(values: Array, axis: int | None) -> Array:
-    """Mean of the seen values, NaN where there are none."""
+def _mean(values: Array) -> Array:
+    """(b,) means over the trials that are seen of values (p, b), NaN where none is."""
     seen = np.isfinite(values)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(seen, values, 0.0).sum(axis=axis) / seen.sum(axis=axis))
+        return np.asarray(np.where(seen, values, 0.0).sum(axis=0) / seen.sum(axis=0))
 
 
 def resolution(trials: Sequence[Array], share: float = 0.2) -> float:

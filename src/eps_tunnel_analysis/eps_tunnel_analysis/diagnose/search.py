@@ -199,15 +199,18 @@ class Search:
         self._shift *= self.scale / scale
         self.scale = scale
 
-    def ticks_agree(self, refit: Refit, folds: NDArray[np.int64]) -> Array:
+    @property
+    def folds(self) -> NDArray[np.int64]:
+        """(R,) the stretch of time to which each residual belongs."""
+        return self.levels["exact"].fold(SETTINGS.block)[self.used]
+
+    def ticks_agree(self, refit: Refit) -> Array:
         """For each signal the share of what the model's ticks do to it at a refit that the rig's do as well.
 
-        It is told as far as it is sure, and never all of it, for a rig's ticks are shaken by its noise.
-
-        Args:
-            folds: (R,) stretch of time of each residual, which are drawn as one.
+        It is told as far as it is sure, from stretches of time that are drawn as one, and never all of it, for a rig's
+        ticks are shaken by its noise.
         """
-        found = np.zeros(len(self.evidence.signals))
+        found, folds = np.zeros(len(self.evidence.signals)), self.folds
         moved = self._by_ticks(refit.values)
         if moved is None:
             return found
@@ -420,9 +423,10 @@ class Search:
         jobs = []
         for refit in refits:
             for name in (n for c in self._candidates(refit) for n in c.parameters if n.endswith(".tick")):
-                best = refit.values
+                best, column = refit.values, self._column[name]
                 for reach in (SCANNED, SCANNED / SCAN):
-                    best = self._best_around(best, self._column[name], reach)
+                    scanned = best[column] * np.geomspace(1.0 / (1.0 + reach), 1.0 + reach, SCAN)
+                    best, _ = self._best_of_column(best, column, scanned)
                 jobs.append((self._candidates(refit), best))
         return self.refit(jobs, FIRST_ROUNDS)
 
@@ -431,22 +435,21 @@ class Search:
         found = []
         for refit in refits:
             for column in (i for c in self._candidates(refit) if is_rough(c) for i in self.columns(c)):
-                around = np.tile(refit.values, (SCAN, 1))
                 reach = SCANNED * (self.high - self.low)[column]
-                around[:, column] += np.linspace(-reach, reach, SCAN)
-                around = np.clip(around, self.low, self.high)
-                residuals = self.residuals(around, "exact")
-                best = int(np.nanargmin(np.mean(residuals**2, axis=1)))
-                found.append(_with_residuals(replace(refit, values=around[best]), residuals[best]))
+                scanned = refit.values[column] + np.linspace(-reach, reach, SCAN)
+                best, residuals = self._best_of_column(refit.values, column, scanned, "exact")
+                found.append(_with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
         return found
 
-    def _best_around(self, values: Array, column: int, reach: float) -> Array:
-        """(K,) the best of values that differ in one by up to this share."""
-        around = np.tile(values, (SCAN, 1))
-        scanned = values[column] * np.geomspace(1.0 / (1.0 + reach), 1.0 + reach, SCAN)
+    def _best_of_column(
+        self, values: Array, column: int, scanned: Array, level: Level = "coarse"
+    ) -> tuple[Array, Array]:
+        """(K,) the best of values with each of (n,) in one place, within its bounds, and its (R,) residuals."""
+        around = np.tile(values, (len(scanned), 1))
         around[:, column] = np.clip(scanned, self.low[column], self.high[column])
-        cost = np.mean(self.residuals(around) ** 2, axis=1)
-        return np.asarray(around[int(np.nanargmin(cost))])
+        residuals = self.residuals(around, level)
+        best = int(np.nanargmin(np.mean(residuals**2, axis=1)))
+        return around[best], residuals[best]
 
     def trial_points(self, refits: Sequence[Refit], candidates: Sequence[Candidate]) -> list[TrialPoint]:
         """Every start of every candidate on top of each refit, by what it promises, best first.

@@ -16,6 +16,7 @@ from eps_tunnel_analysis.fit.differences import jacobian, moved
 from labyrinth_sim.trials import Array
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])
+FIRST_DAMPING = 1e-2
 TRUST = 1e-12
 LEAST_DAMPED = 1e-3  # damping of the step whose gain the slopes promise
 LEAST_PROMISE = 10.0  # times the tolerance, for which slopes that led nowhere are taken again, by the simulator
@@ -81,7 +82,7 @@ def descend(
     at = residuals(z, everyone)
     cost = _cost(at)
     evaluations = count
-    damping = np.full(count, 1e-2)
+    damping = np.full(count, FIRST_DAMPING)
     rest = ~np.isfinite(cost) | ~free.any(axis=1) | (cost == 0.0)
     converged = ~free.any(axis=1) | (cost == 0.0)
     jacobians: dict[int, tuple[Array, NDArray[np.int64]]] = {}
@@ -94,7 +95,7 @@ def descend(
             rest[b] = converged[b] = True
             return
         wide[b] = WIDER
-        damping[b] = 1e-2
+        damping[b] = FIRST_DAMPING
         steps[b] = np.minimum(steps[b] * WIDER, LARGEST_STEP)
         jacobians.pop(b, None)
 

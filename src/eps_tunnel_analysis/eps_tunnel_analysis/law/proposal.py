@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, floor_known, folds_of, hypothesis
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, floor_known, hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, moved_parts, search_of
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate, with_curves
@@ -376,7 +376,7 @@ def _ranked(
         rivals = [h for h in beside.hypotheses if h.refit.effects] if alike else ()
     tried = terms + (len(beside.search.library.candidates) if beside else 0)
     whole = replace(before, left_out=before.refit.residuals)
-    ranking = rank(whole, [*rivals, best.own], folds_of(search), search.blocks, tried, drifts=drifts,
+    ranking = rank(whole, [*rivals, best.own], search.folds, search.blocks, tried, drifts=drifts,
                    floor=floor_known(plays), signals=search.signal)  # fmt: skip
     return ranking.probabilities
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.axis import ROUNDS, folds_of, near_hypotheses, refitted_sets
+from eps_tunnel_analysis.diagnose.axis import ROUNDS, near_hypotheses, refitted_sets
 from eps_tunnel_analysis.diagnose.axis_search import (
     AxisPart,
     SearchOptions,
@@ -365,7 +365,7 @@ def _axis_changes(
     search, base = _search(lib, then, now, part, run)
     share = PAIRED if all(_as_then(play, then) is not None for play in now) else 1.0
     base, refits = refitted_sets(search, base, share**2 * SETTINGS.healthy, most=MOST_CHANGES)
-    folds = folds_of(search)
+    folds = search.folds
     hypotheses = near_hypotheses(search, base, refits)
     tried = len(search.library.candidates)
     alone = Hypothesis(base, base.residuals)

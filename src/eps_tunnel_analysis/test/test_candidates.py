@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Candidates: which there are, and from which values they are sought."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from small_recordings import write_rig
+
+from eps_tunnel_analysis.diagnose.candidates import library, starts
+from labyrinth_sim.errors import InputError
+from labyrinth_sim.model import load_model
+
+
+def test_every_candidate_has_starts_within_its_bounds() -> None:
+    found = library(load_model("labyrinth_manual"), ["drive.x.p"])
+    assert {"backlash.x", "sensor_gain.board_y"} <= {c.name for c in found.candidates}
+    for candidate in found.candidates:
+        rows = starts(candidate)
+        assert len(rows)
+        for column, p in enumerate(candidate.effect.parameters):
+            assert (rows[:, column] >= p.low).all() and (rows[:, column] <= p.high).all()
+
+
+def test_ticks_start_at_whole_multiples_of_a_known_one() -> None:
+    model = load_model("labyrinth_mx64")
+    register = model.values()["drive.x.goal_tick"]
+    found = library(model, [], only=["command_quantisation"]).find("command_quantisation.x")
+    tried, low, high = starts(found)[:, 0], found.declared[0].low, found.declared[0].high
+    assert register > 0.0 and low <= tried.min() and tried.max() <= high
+    for many in (2, 3, 8):
+        assert np.min(np.abs(tried / (many * register) - 1.0)) < 1e-12, "its valley is a thousandth wide"
+    untold = library(load_model("labyrinth_manual"), [], only=["command_quantisation"]).find("command_quantisation.x")
+    assert len(starts(untold)) < len(tried)
+
+
+def test_the_known_tick_of_an_axis_is_not_that_of_a_sensor_of_the_same_name(tmp_path: Path) -> None:
+    write_rig(tmp_path, position={"resolution": 0.002})
+    for name, key in (("rig", "axes"), ("model", "drives")):
+        content = yaml.safe_load((tmp_path / f"{name}.yaml").read_text())
+        content[key] = {"arm": content[key]["a"]}
+        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(content))
+    model = load_model(tmp_path / "model.yaml").with_values({"drive.arm.goal_tick": 0.003})
+    found = library(model, [], only=["command_quantisation", "sensor_quantisation"])
+    assert {c.name: c.register for c in found.candidates} == {
+        "command_quantisation.arm": 0.003,
+        "sensor_quantisation.arm": 0.002,
+    }
+
+
+def test_candidates_of_a_sliding_axis_start_within_the_bounds_of_its_size(tmp_path: Path) -> None:
+    found = library(load_model(write_rig(tmp_path, slides=True)), ["drive.a.stiffness"])
+    infos = found.model.parameters()
+    for candidate in found.candidates:
+        for column, name in enumerate(candidate.parameters):
+            values = starts(candidate)[:, column]
+            assert (values >= infos[name].low).all() and (values <= infos[name].high).all(), name
+
+
+def test_an_effect_in_the_model_is_no_candidate() -> None:
+    model = load_model("labyrinth_manual").with_effect("backlash", "x")
+    assert "backlash.x" not in {c.name for c in library(model, []).candidates}
+
+
+def test_an_unknown_effect_is_refused_with_the_names() -> None:
+    with pytest.raises(InputError, match="backlash"):
+        library(load_model("labyrinth_manual"), [], only=["blacklash"])
