@@ -302,7 +302,7 @@ class Engine:
         Where a command steps within a sample, the target is what was asked for in the mean. A small part of a large
         step already asks for all that the drive gives, and would have it for the whole sample: so there the step counts
         no further than the error at which the drive gives its most. Samples that hold all of the step stay as they are,
-        and so do small steps, by which a drive is soon up to speed.
+        and so do small steps, by which a drive is soon up to speed, and ramps, which go on as they came.
         """
         found = targets
         for i, reach in enumerate(self._reach):
@@ -311,15 +311,16 @@ class Engine:
                 continue
             before, after = own[:, : -2 * SPREAD], own[:, 2 * SPREAD :]
             change, middle = after - before, own[:, SPREAD:-SPREAD]
+            step = np.abs(change) - _of_a_ramp(own, np.sign(change))
             with np.errstate(invalid="ignore"):
-                far = np.abs(change) > FAR * reach[:, None]
+                far = step > FAR * reach[:, None]
             if not far.any():
                 continue
             found = targets.copy() if found is targets else found
             share = (middle - before)[far] / change[far]
             most = (np.sign(change) * reach[:, None])[far]
             kept = before[far] + share * most + share**WHOLE_STEP * (change[far] - most)
-            how_far = np.minimum(np.log(change[far] / (FAR * most)) / np.log(FAR), 1.0)
+            how_far = np.minimum(np.log(step[far] / (FAR * np.abs(most))) / np.log(FAR), 1.0)
             partly = np.where((share >= 0.0) & (share <= 1.0), how_far, 0.0)
             found[:, SPREAD:-SPREAD, i][far] += partly * (kept - middle[far])
         return found
@@ -562,6 +563,14 @@ def _stretches(off: NDArray[np.bool_], most: int | None = None) -> list[tuple[in
     edges = np.flatnonzero((off[:, 1:] != off[:, :-1]).any(axis=(0, 2))) + 1
     parts = zip([0, *map(int, edges)], [*map(int, edges), off.shape[1]], strict=True)
     return [(low, min(low + (most or last), last)) for first, last in parts for low in range(first, last, most or last)]
+
+
+def _of_a_ramp(targets: Array, sign: Array) -> Array:
+    """(nsim, T - 2 SPREAD) how far targets (nsim, T) move that way in the 2 SPREAD samples before or after those."""
+    width = 2 * SPREAD
+    held = np.pad(targets, ((0, 0), (width, width)), mode="edge")
+    moved = np.nan_to_num(held[:, width:] - held[:, :-width])
+    return np.maximum(np.maximum(sign * moved[:, : -2 * width], sign * moved[:, 2 * width :]), 0.0)
 
 
 def _whole(angle: Array, tick: Array) -> Array:

@@ -255,3 +255,15 @@ def test_a_step_within_a_sample_counts_as_long_as_it_acts_though_the_drive_satur
     off = [float(np.abs(moved(step, means) - exact).max()) for means in (True, False)]
     assert off[0] < 0.005 < 0.15 * off[1]
     assert np.array_equal(moved(step, True)[0], moved(step, False)[0])  # here every sample holds all of a command
+
+
+def test_a_ramp_is_no_step_however_fast_for_a_stiff_drive() -> None:
+    step, slope = 0.001, 2.0
+    given = load_model("horn").with_values({"drive.horn.stiffness": 500.0, "drive.horn.torque": 0.1}, "stiff")
+    time = step * np.arange(400)
+    ramp = (slope * (time + step / 2.0))[None, :, None]  # the mean over each sample
+    found = [
+        simulate_batch(given, (), np.empty((1, 0)), time, ramp, timestep=step, means=means).values
+        for means in (True, False)
+    ]
+    assert found[0] == pytest.approx(found[1], abs=1e-12)
