@@ -311,16 +311,17 @@ class Engine:
                 continue
             before, after = own[:, : -2 * SPREAD], own[:, 2 * SPREAD :]
             change, middle = after - before, own[:, SPREAD:-SPREAD]
-            step = np.abs(change) - _of_a_ramp(own, np.sign(change))
+            least = FAR * reach[:, None]
             with np.errstate(invalid="ignore"):
-                far = step > FAR * reach[:, None]
-            if not far.any():
-                continue
+                if not (np.abs(change) > least).any():
+                    continue  # before ramps are looked for, which takes longer
+                step = (np.abs(change) - _of_a_ramp(own, np.sign(change))) / least
+                far = step > 1.0
             found = targets.copy() if found is targets else found
             share = (middle - before)[far] / change[far]
             most = (np.sign(change) * reach[:, None])[far]
             kept = before[far] + share * most + share**WHOLE_STEP * (change[far] - most)
-            how_far = np.minimum(np.log(step[far] / (FAR * np.abs(most))) / np.log(FAR), 1.0)
+            how_far = np.minimum(np.log(step[far]) / np.log(FAR), 1.0)
             partly = np.where((share >= 0.0) & (share <= 1.0), how_far, 0.0)
             found[:, SPREAD:-SPREAD, i][far] += partly * (kept - middle[far])
         return found
