@@ -54,6 +54,15 @@ def test_bounds_hold_and_a_truth_beyond_them_ends_at_the_bound() -> None:
     assert found.z[0, 0] == 1.0
 
 
+def test_a_value_reaches_a_truth_far_beyond_its_span_within_a_wider_box() -> None:
+    outside = response(np.array([[4.3, 0.3, 0.5]]))[0]
+    found = descend(
+        lambda z, o: response(z) - outside, np.full((1, 3), 0.5), np.ones((1, 3), bool), 60, tolerance=1e-12,
+        width=np.array([5.0, 1.0, 1.0]),
+    )  # fmt: skip
+    assert np.allclose(found.z, [4.3, 0.3, 0.5], atol=1e-3)
+
+
 def test_a_diverged_neighbourhood_does_not_poison_the_rest() -> None:
     def partly(z, owners):
         answer = residuals(z, owners)

@@ -371,6 +371,19 @@ def test_a_set_starts_within_its_bounds_though_what_it_contains_goes_further(rec
     assert fitted and all(np.all((search.low <= v) & (v <= search.high)) for v in fitted)
 
 
+def test_a_refit_does_not_depend_on_how_far_away_a_bound_lies(recorded: list[Play]) -> None:
+    def refitted(high: float) -> tuple[Search, Refit]:
+        search = part_search(start().with_effect("backlash", "x"), recorded)
+        column = search.library.names.index("backlash.x.width")
+        search.high[column] = high
+        return search, search.refit([((), search.start)], 6)[0]
+
+    (near, one), (_, other) = refitted(0.06), refitted(0.4)
+    assert (near.spans <= near.high - near.low).all()
+    assert other.values == pytest.approx(one.values, rel=1e-9, abs=1e-12)
+    assert one.steps == pytest.approx(other.steps)
+
+
 def test_a_drives_value_is_mistaken_for_no_effect(search: Search) -> None:
     first, *rest = search.library.candidates
     value = replace(first, effect=replace(first.effect, name="drive.x"))

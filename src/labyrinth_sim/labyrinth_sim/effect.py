@@ -95,6 +95,8 @@ class Parameter:
         fixed: "bounds" for those that are the same on any axis, whatever its unit; "unit" for what belongs to the motor
             and not to the axis, and so keeps its unit as well.
         fitted: False for what is stated with an effect and never fitted, as the range that a table covers.
+        span: a large change of the value, where the bounds lie much further apart than that: a search takes its steps
+            in shares of it. 0 for the distance of the bounds.
     """
 
     name: str
@@ -106,6 +108,7 @@ class Parameter:
     why: str
     fixed: Literal["", "bounds", "unit"] = ""
     fitted: bool = True
+    span: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.low <= self.typical <= self.high or not (self.off is None or self.low <= self.off <= self.high):
@@ -120,12 +123,13 @@ class Parameter:
         force, length = GROWS.get(self.unit, (0, 0))
         unit = slide_unit(self.unit) if size.slides and self.fixed != "unit" else self.unit
         grows = not self.fixed and bool(force or (length and size.slides))
-        scale = float(size.force**force * size.length**length) if grows else 1.0
-        low, high = scale * self.low, scale * self.high
+        times = float(size.force**force * size.length**length) if grows else 1.0
+        low, high = times * self.low, times * self.high
         if grows and stated is not None and not low <= stated <= high and not self.complaint(size, stated):
             low, high = min(low, stated / 3.0, 3.0 * stated), max(high, 3.0 * stated, stated / 3.0)
-        off = None if self.off is None else scale * self.off
-        return replace(self, unit=unit, low=low, high=high, off=off, typical=scale * self.typical)
+        off = None if self.off is None else times * self.off
+        typical, span = times * self.typical, times * self.span
+        return replace(self, unit=unit, low=low, high=high, off=off, typical=typical, span=span)
 
     def complaint(self, size: Size, stated: float) -> str:
         """Why a value cannot be stated for an axis of this size; "" if it can.

@@ -38,7 +38,7 @@ class ParameterInfo:
     """One number of a model that can be set or fitted.
 
     `off` is the value at which its effect vanishes, None where there is no such value; `default` what holds where the
-    model says nothing.
+    model says nothing; `span` a large change of it, at most the distance of its bounds.
     """
 
     name: str
@@ -50,6 +50,7 @@ class ParameterInfo:
     value: float
     source: str
     why: str
+    span: float
 
 
 @dataclass(frozen=True)
@@ -254,7 +255,16 @@ class _Declared:
         default = self.number if self.number is not None else here.typical if here.off is None else here.off
         value = self.value or Value(default, here.unit, DEFAULT)
         return ParameterInfo(
-            self.name, here.unit, here.low, here.high, here.off, default, value.value, value.source, here.why
+            self.name,
+            here.unit,
+            here.low,
+            here.high,
+            here.off,
+            default,
+            value.value,
+            value.source,
+            here.why,
+            here.span or here.high - here.low,
         )
 
 

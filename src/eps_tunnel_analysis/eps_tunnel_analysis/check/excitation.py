@@ -118,8 +118,8 @@ def _moved(start: Array, index: int, info: ParameterInfo) -> Array:
 def _step(info: ParameterInfo) -> float:
     """By how much a value is moved, in its unit; a delay as far as one that is typical of what is missing."""
     if info.unit == "s":
-        return LATE * (info.high - info.low)
-    return SLOPE * (abs(info.value) or LEAST_SIZE * (info.high - info.low))
+        return LATE * info.span
+    return SLOPE * (abs(info.value) or LEAST_SIZE * info.span)
 
 
 def _switched_on(start: Array, names: Sequence[str], candidate: Candidate, model: Model) -> Array:
@@ -138,9 +138,9 @@ def _values(
         own = [i for i, name in enumerate(base) if name in part.base]
         if not own:
             continue
-        spans = [infos[base[i]].high - infos[base[i]].low for i in own]
+        spans = [infos[base[i]].span for i in own]
         steps = np.array([_step(infos[base[i]]) / span for i, span in zip(own, spans, strict=True)])
-        columns = slopes[own].T / steps  # floors per span of the bounds
+        columns = slopes[own].T / steps  # floors per span
         information = columns.T @ columns / SETTINGS.correlated
         size = np.sqrt(np.maximum(np.diag(information), 1e-300))
         # Scaled, so that the inverse minds no units; a ridge keeps what nothing moves finite.
@@ -150,9 +150,8 @@ def _values(
         correlation = inverse / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
         for k, i in enumerate(own):
             info = infos[base[i]]
-            span = info.high - info.low
-            half = min(2.0 * float(deviation[k]), 1.0) * span
-            share = half / max(abs(info.value), LEAST_SIZE * span)
+            half = min(2.0 * float(deviation[k]), 1.0) * info.span
+            share = half / max(abs(info.value), LEAST_SIZE * info.span)
             answer: Answer = "identifiable" if share <= PRECISE else "weak" if share <= ROUGH else "no"
             others = [j for j in range(len(own)) if j != k]
             same = [base[own[j]] for j in others if abs(scaled[k, j]) > SAME]

@@ -446,7 +446,7 @@ def near_hypotheses(search: Search, base: Refit, refits: Sequence[Refit]) -> lis
 def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> Hypothesis:
     """A refit, what it predicts of stretches of time that are left out of it, and others that it contains."""
     columns = search.fitted(refit)
-    span = (search.high - search.low)[columns]
+    span = search.spans[columns]
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
     left = left_out(search.jacobian(refit), refit.residuals, search.folds, room, search.firmness[columns])
     return Hypothesis(refit, left, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values))

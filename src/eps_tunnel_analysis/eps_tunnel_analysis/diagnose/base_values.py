@@ -18,8 +18,8 @@ from labyrinth_sim.trials import Array
 
 BASE_POINTS = 64  # values of the base tried before it is descended, and
 BASE_STARTS = 8  # how many of them are descended
-APART = 0.1  # of the bounds' span, between starts
-NEAR = 0.2  # of the bounds' span, where half of them lie around the model's own
+APART = 0.1  # of a value's span, between starts
+NEAR = 0.2  # of a value's span, where half of them lie around the model's own
 BASE_ROUNDS = 8  # of each descent
 COMPARED_ROUNDS = 3  # of the finalists, before they are compared
 VALLEY_POINTS = 8  # to either side of the best, along what it determines least
@@ -89,7 +89,7 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     """(K,) values, and those with other base values that fit best, out of many, each from a valley of its own."""
     size = len(search.library.base) - search.library.rough
     drawn = qmc.Sobol(size, rng=0, scramble=True).random(BASE_POINTS) if size else np.empty((0, 0))
-    span = (search.high - search.low)[:size]
+    span = search.spans[:size]
     points = np.tile(values, (len(drawn) + 1, 1))
     near = len(drawn) // 2
     points[1 : near + 1, :size] = search.start[:size] + (drawn[:near] - 0.5) * NEAR * span
@@ -161,7 +161,7 @@ def better_base(search: Search, base: Refit, points: Sequence[Array]) -> Refit:
     """The base from those of (K,) values that lead elsewhere, if that is lower; the search is settled there."""
     size = len(search.library.base)
     starts = [np.concatenate([point[:size], search.start[size:]]) for point in points] if size else []
-    span = (search.high - search.low)[:size]
+    span = search.spans[:size]
     apart = STANDS * max(1.0, base.objective)
     found = [
         r.values
@@ -194,14 +194,15 @@ def along_valley(search: Search, refit: Refit) -> list[Array]:
     columns = search.fitted(refit)[: len(search.library.base) - search.library.rough]
     if len(columns) < 2:
         return []
-    span = (search.high - search.low)[columns]
+    span = search.spans[columns]
+    width = (search.high - search.low)[columns] / span
     slopes = search.jacobian(refit)[:, : len(columns)]
     weakest = np.linalg.svd(slopes, full_matrices=False)[2][-1]
     points = []
     for sign in (1.0, -1.0):
         here = (refit.values - search.low)[columns] / span
         way = sign * weakest
-        ahead = np.where(way > 0.0, 1.0 - here, here)[way != 0.0]
+        ahead = np.where(way > 0.0, width - here, here)[way != 0.0]
         room = float(np.min(ahead / np.abs(way[way != 0.0])))
         tried = np.tile(refit.values, (VALLEY_POINTS, 1))
         tried[:, columns] += np.linspace(0.0, room, VALLEY_POINTS + 1)[1:, None] * way * span

@@ -31,7 +31,7 @@ FEW_STARTS = 20
 SHORTLIST = 5  # sets of effects refitted from their trial points; so many are never given up
 FIRST_ROUNDS = 3  # after which the hopeless are given up
 SCAN = 24  # values tried around a tick, and again around the best of them; the first within
-SCANNED = 0.15  # of it; and around a value whose misfit is rough, of its bounds' span
+SCANNED = 0.15  # of it; and around a value whose misfit is rough, of its span
 LEAST_JUDGED = 2
 OUT_OF_REACH = 5.0  # times the best cost: no exact step brings that down
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
@@ -119,7 +119,7 @@ class Search:
         scale: (n,) the noise floor at each of the evidence's samples.
         used: (R,) which of the evidence's samples are compared.
         progress: called with the number of roll-outs so far.
-        difference: step of the finite differences, relative to the bounds' span.
+        difference: step of the finite differences, in shares of each value's span.
     """
 
     def __init__(
@@ -145,19 +145,21 @@ class Search:
         self.progress = progress
         self._shift = np.zeros(len(used))  # what the coarse step gets wrong, near where the search is
         self._column = {name: i for i, name in enumerate(library.names)}
+        #: (K,) large changes of the values, of which the search moves them by shares
+        self.spans = np.array([infos[name].span for name in library.names])
         #: (K,) how firmly each value is expected to be as stated, per share of its span; 0 for what is free.
         self.firmness = np.zeros(len(self.start))
         for column, name in enumerate(library.base[: len(library.base) - library.rough]):
             if loosely_known(library.model, name):
-                share = SETTINGS.loose * abs(self.start[column]) / (self.high - self.low)[column]
+                share = SETTINGS.loose * abs(self.start[column]) / self.spans[column]
                 self.firmness[column] = np.sqrt(SETTINGS.correlated) / share
         base = np.arange(len(library.base) - library.rough, len(library.base))
-        span = (self.high - self.low)[base]
+        span = self.spans[base]
         self._spread = SETTINGS.rough * np.where(self.start[base] != 0.0, np.abs(self.start[base]), span)
         # Beyond that it would stand in for an effect; `doubts` tells where it should.
         self.low[base] = np.maximum(self.low[base], self.start[base] - FARTHEST * self._spread)
         self.high[base] = np.minimum(self.high[base], self.start[base] + FARTHEST * self._spread)
-        span = (self.high - self.low)[base]
+        span = self.spans[base] = (self.high - self.low)[base]
         self.firmness[base] = np.sqrt(SETTINGS.correlated) * span / self._spread
         self.difference = np.full(len(self.start), difference)
         self.difference[base] = np.minimum(difference, 0.1 * self._spread / span)
@@ -175,7 +177,7 @@ class Search:
 
     def strain(self, values: Array) -> float:
         """How far values (K,) are from what is stated, as a sum of squares in units of what is expected of each."""
-        off = self.firmness * (values - self.start) / (self.high - self.low)
+        off = self.firmness * (values - self.start) / self.spans
         return float(np.sum(off**2)) / SETTINGS.correlated
 
     def _held_at(self, values: Array) -> float:
@@ -340,18 +342,19 @@ class Search:
             for candidate in candidates:
                 free[row, self.columns(candidate)] = True
         free &= ~self._idle
-        span = self.high - self.low
+        width = (self.high - self.low) / self.spans
 
         def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
-            seen = self.residuals(np.clip(self.low + z * span, self.low, self.high), level) + more[owners]
+            seen = self.residuals(np.clip(self.low + z * self.spans, self.low, self.high), level) + more[owners]
             return np.concatenate([seen, self.firmness * (z - stated)], axis=1)
 
-        stated = (self.start - self.low) / span
+        stated = (self.start - self.low) / self.spans
         size = len(self.used)
-        z0 = (np.array([start for _, start in jobs]) - self.low) / span
+        z0 = (np.array([start for _, start in jobs]) - self.low) / self.spans
         cheaper = partial(scaled, level="coarse") if level != "coarse" else None
-        result = descend(scaled, z0, free, rounds, self.difference, TOLERANCE, response=RESPONSE, slopes=cheaper)
-        values = np.clip(self.low + result.z * span, self.low, self.high)
+        result = descend(scaled, z0, free, rounds, self.difference, TOLERANCE, response=RESPONSE, slopes=cheaper,
+                         width=width)  # fmt: skip
+        values = np.clip(self.low + result.z * self.spans, self.low, self.high)
         return [
             Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],
                   float(np.mean(result.residuals[row, :size] ** 2)), int(free[row].sum()), bool(result.converged[row]),
@@ -435,7 +438,7 @@ class Search:
         found = []
         for refit in refits:
             for column in (i for c in self._candidates(refit) if is_rough(c) for i in self.columns(c)):
-                reach = SCANNED * (self.high - self.low)[column]
+                reach = SCANNED * self.spans[column]
                 scanned = refit.values[column] + np.linspace(-reach, reach, SCAN)
                 best, residuals = self._best_of_column(refit.values, column, scanned, "exact")
                 found.append(_with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
@@ -492,7 +495,7 @@ class Search:
         columns = self.fitted(refit)
         moved = np.tile(refit.values, (len(columns), 1))
         low, high = self.low[columns], self.high[columns]
-        steps = steps_within(refit.values[columns], self._steps(refit)[columns] * (high - low), low, high)
+        steps = steps_within(refit.values[columns], (self._steps(refit) * self.spans)[columns], low, high)
         moved[np.arange(len(columns)), columns] += steps
         return moved
 
@@ -500,7 +503,7 @@ class Search:
         """(k,) which of the values that `moved` moves lie at a bound, and would make up for more beyond it."""
         columns = self.fitted(refit)
         room = np.minimum(refit.values - self.low, self.high - refit.values)[columns]
-        return (room < AT_BOUND * (self.high - self.low)[columns]) & (changes.T @ refit.residuals > 0.0)
+        return (room < AT_BOUND * self.spans[columns]) & (changes.T @ refit.residuals > 0.0)
 
     def _held(self, refit: Refit) -> Array:
         """(k, k) how firmly each value that `moved` moves is held, per move."""
@@ -517,10 +520,10 @@ class Search:
         return found
 
     def jacobian(self, refit: Refit) -> Array:
-        """(R, k) of a refit's residuals by its fitted values, each in shares of its bounds' span."""
+        """(R, k) of a refit's residuals by its fitted values, each in shares of its span."""
         columns = self.fitted(refit)
         points = self.moved(refit)
-        steps = np.diagonal((points - refit.values)[:, columns]) / (self.high - self.low)[columns]
+        steps = np.diagonal((points - refit.values)[:, columns]) / self.spans[columns]
         answers = self.residuals(np.vstack([refit.values, points]))
         return jacobian(answers[0], answers[1:], steps)
 

@@ -363,14 +363,14 @@ def calibrate(
 
 
 def make_problem(objective: Objective, settings: Settings) -> Problem:
-    """What the optimisers see of an objective."""
+    """What the optimisers see of an objective: each value within its bounds and a span of where it starts."""
     infos = objective.model.parameters()
     chosen = [infos[name] for name in objective.free]
     return Problem(
         names=objective.free,
         units=tuple(info.unit for info in chosen),
-        low=np.array([info.low for info in chosen]),
-        high=np.array([info.high for info in chosen]),
+        low=np.array([max(info.low, info.value - info.span) for info in chosen]),
+        high=np.array([min(info.high, info.value + info.span) for info in chosen]),
         start=np.array([info.value for info in chosen]),
         residuals=settings.spread(objective) if settings.spread else objective,
         fitness=_fitness(objective, settings),

@@ -13,19 +13,23 @@ def steps_within(at: Array, steps: Array | float, low: Array | float, high: Arra
     return np.where((steps <= above) | (above >= below), np.minimum(steps, above), -np.minimum(steps, below))
 
 
-def moved(z: Array, step: float | Array, columns: NDArray[np.int64] | None = None) -> tuple[Array, Array]:
+def moved(
+    z: Array, step: float | Array, columns: NDArray[np.int64] | None = None, width: Array | float = 1.0
+) -> tuple[Array, Array]:
     """Points to ask for a Jacobian.
 
     Args:
-        z: (K,) in [0, 1].
+        z: (K,) from 0 to width.
         step: one for all values or (K,).
         columns: (k,) of the values to move; all by default.
+        width: of the box, one for all values or (K,).
 
     Returns:
         (k, K), z with one value moved in each row, and the (k,) signed steps.
     """
     which = np.arange(len(z)) if columns is None else columns
-    steps = steps_within(z[which], np.broadcast_to(np.asarray(step, dtype=np.float64), z.shape)[which], 0.0, 1.0)
+    size, most = (np.broadcast_to(np.asarray(x, dtype=np.float64), z.shape)[which] for x in (step, width))
+    steps = steps_within(z[which], size, 0.0, most)
     points = np.tile(z, (len(which), 1))
     points[np.arange(len(which)), which] += steps
     return points, steps

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many small least-squares problems descended side by side, so that each round is one batch of roll-outs.
 
-Levenberg-Marquardt with a few dampings tried at once, in the box [0, 1]. A round costs each problem one roll-out per
+Levenberg-Marquardt with a few dampings tried at once, in a box. A round costs each problem one roll-out per
 free value for the Jacobian and one per damping for the step; the roll-outs of all problems go to the simulator
 together.
 """
@@ -59,12 +59,13 @@ def descend(
     hopeless: Callable[[Array], NDArray[np.bool_]] | None = None,
     response: float | None = None,
     slopes: BatchResiduals | None = None,
+    width: float | Array = 1.0,
 ) -> Descent:
     """Descend every problem from its start.
 
     Args:
         residuals: the simulator.
-        starts: (B, K) in [0, 1].
+        starts: (B, K) from 0 to width.
         free: (B, K) which values each problem may move.
         rounds: at most so many.
         difference: step of the finite differences, one for all or (K,), normalised.
@@ -74,9 +75,12 @@ def descend(
             Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope; a problem
             that gets no further goes on with wider ones before it rests.
         slopes: a cheaper simulator, whose slopes stand in for the simulator's until a problem gets no further by them.
+        width: of the box, one for all values or (K,).
     """
-    z = np.clip(np.array(starts, dtype=np.float64), 0.0, 1.0)
+    z = np.array(starts, dtype=np.float64)
     count, size = z.shape
+    widths = np.broadcast_to(np.asarray(width, dtype=np.float64), (size,))
+    z = np.clip(z, 0.0, widths)
     steps = np.tile(np.broadcast_to(np.asarray(difference, dtype=np.float64), (size,)), (count, 1))
     everyone = np.arange(count)
     at = residuals(z, everyone)
@@ -111,7 +115,7 @@ def descend(
             if simulator is not residuals:
                 here = simulator(z[own], own)
                 evaluations += len(own)
-            fresh, used = _jacobians(simulator, z, dict(zip(own, here, strict=True)), own, free, steps)
+            fresh, used = _jacobians(simulator, z, dict(zip(own, here, strict=True)), own, free, steps, widths)
             jacobians |= fresh
             evaluations += used
             if response is not None:
@@ -119,14 +123,16 @@ def descend(
                     steps[b, columns] = _adapted(steps[b, columns], found, response * wide[b])
         tried = np.repeat(active, len(DAMPINGS))
         factors = np.tile(DAMPINGS, len(active)) * damping[tried]
-        proposals = np.array([_step(z[b], at[b], *jacobians[b], f) for b, f in zip(tried, factors, strict=True)])
+        proposals = np.array(
+            [_step(z[b], at[b], *jacobians[b], widths, f) for b, f in zip(tried, factors, strict=True)]
+        )
         answers = residuals(proposals, tried)
         evaluations += len(tried)
         costs = _cost(answers).reshape(len(active), -1)
         for row, b in enumerate(active):
             winner = int(np.argmin(costs[row]))
             if costs[row, winner] >= cost[b]:
-                if cheap[b] and _promise(z[b], at[b], *jacobians[b]) > LEAST_PROMISE * tolerance:
+                if cheap[b] and _promise(z[b], at[b], *jacobians[b], widths) > LEAST_PROMISE * tolerance:
                     cheap[b] = False
                     del jacobians[int(b)]
                     continue
@@ -159,19 +165,20 @@ def _jacobians(
     active: NDArray[np.int64],
     free: NDArray[np.bool_],
     steps: Array,
+    widths: Array,
 ) -> tuple[dict[int, tuple[Array, NDArray[np.int64]]], int]:
     """For each active problem its Jacobian (R, k) and the k columns of z it belongs to."""
     columns = {int(b): np.flatnonzero(free[b]) for b in active}
-    points = {b: moved(z[b], steps[b], c) for b, c in columns.items()}
+    points = {b: moved(z[b], steps[b], c, widths) for b, c in columns.items()}
     owners = np.concatenate([np.full(len(c), b) for b, c in columns.items()])
     answers = residuals(np.concatenate([where for where, _ in points.values()]), owners)
     slopes = {b: (jacobian(at[b], answers[owners == b], points[b][1]), c) for b, c in columns.items()}
     return slopes, len(owners)
 
 
-def _promise(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64]) -> float:
+def _promise(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], widths: Array) -> float:
     """Share of the cost that these slopes say can be gained."""
-    ahead = (_step(z, at, jacobian, columns, LEAST_DAMPED) - z)[columns]
+    ahead = (_step(z, at, jacobian, columns, widths, LEAST_DAMPED) - z)[columns]
     return 1.0 - float(np.sum((at + jacobian @ ahead) ** 2) / max(np.sum(at**2), np.finfo(float).tiny))
 
 
@@ -182,11 +189,11 @@ def _adapted(steps: Array, slopes: Array, response: float) -> Array:
     return np.asarray(np.clip(steps * np.clip(factors, 1.0 / RESCALED, RESCALED), SMALLEST_STEP, LARGEST_STEP))
 
 
-def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], damping: float) -> Array:
+def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], widths: Array, damping: float) -> Array:
     """One damped Gauss-Newton step, kept in the box; values pressed against a bound stay there for this step."""
     gradient = jacobian.T @ at
-    here = z[columns]
-    pressed = ((here <= 0.0) & (gradient > 0.0)) | ((here >= 1.0) & (gradient < 0.0))
+    here, most = z[columns], widths[columns]
+    pressed = ((here <= 0.0) & (gradient > 0.0)) | ((here >= most) & (gradient < 0.0))
     moving = np.flatnonzero(~pressed)
     target = z.copy()
     if len(moving) == 0:
@@ -196,7 +203,7 @@ def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], damp
     scale = np.diag(normal).copy()
     scale += TRUST * max(scale.max(), np.finfo(float).tiny)
     normal += damping * np.diag(scale)
-    low, high = -here[moving], 1.0 - here[moving]
+    low, high = -here[moving], (most - here)[moving]
     step, held = np.zeros(len(moving)), np.zeros(len(moving), dtype=bool)
     while not held.all():
         rest = ~held
@@ -207,5 +214,5 @@ def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], damp
             break
         # What would go too far stops at its bound, and the others make up for that.
         step, held = np.clip(step, low, high), held | beyond
-    target[columns[moving]] = np.clip(here[moving] + step, 0.0, 1.0)
+    target[columns[moving]] = np.clip(here[moving] + step, 0.0, most[moving])
     return target

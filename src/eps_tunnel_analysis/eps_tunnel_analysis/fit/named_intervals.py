@@ -40,7 +40,7 @@ def named_intervals(
         search.progress = None  # who showed it is done
         refit = axis.acting(named)
         columns = search.fitted(refit)
-        half = _half_widths(search, refit, columns) * (search.high - search.low)[columns]
+        half = _half_widths(search, refit, columns) * search.spans[columns]
         for column, width in zip(columns, half.tolist(), strict=True):
             name = search.library.names[column]
             low, high = infos[name].low, infos[name].high
@@ -54,7 +54,7 @@ def intervals_json(found: Mapping[str, tuple[float, float]]) -> dict[str, list[f
 
 
 def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
-    """(k,) of the 95 % intervals of what a refit fits, in shares of the bounds' span; NaN where a slope diverges."""
+    """(k,) of the 95 % intervals of what a refit fits, in shares of their spans; NaN where a slope diverges."""
     if not columns:
         return np.zeros(0)
     slopes, firm = search.jacobian(refit), search.firmness[list(columns)]
@@ -63,7 +63,7 @@ def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
     blocks = search.blocks.astype(float)
     found = intervals(slopes, refit.residuals, blocks, held=firm, held_variance=SETTINGS.correlated)
     inverse = np.linalg.pinv(np.vstack([slopes, np.diag(firm)]))
-    off = firm * ((refit.values - search.start) / (search.high - search.low))[list(columns)]
+    off = firm * ((refit.values - search.start) / search.spans)[list(columns)]
     step = inverse @ np.concatenate([refit.residuals, off])
     inverse = inverse[:, : len(slopes)]
     more = np.hypot(_by_start(search, refit, inverse), _by_effects(search, refit, slopes, inverse))

@@ -45,7 +45,7 @@ class PlayAnswer:
         nodes: (n,) s.
         residuals: (R,) that the model leaves without any force.
         answer: (R, n) by the force at each node, 1/(N m); few of them, for a push is soon forgotten.
-        base: (R, k) by the values refitted besides, each in shares of its bounds' span.
+        base: (R, k) by the values refitted besides, each in shares of its span.
         time: (R,) s; `signal` (R,) which of the compared; `fold` (R,) stretch of time.
         scale: (R,) the noise floor in the signal's unit.
         force, band: (n,) N m missing, and its standard deviation.
@@ -129,7 +129,7 @@ def missing_force(
         for p in range(len(plays)):
             mine = owner[search.used] == p
             used, scale = search.used[mine] - first[p], search.scale[mine]
-            parts.append(_linearised(playing, p, forces[p], nodes_of[p], used, scale, search.high - search.low))
+            parts.append(_linearised(playing, p, forces[p], nodes_of[p], used, scale, search.spans))
         if number and _settled(answers, parts):
             break
         if number == 0:

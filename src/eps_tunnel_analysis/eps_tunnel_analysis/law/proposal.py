@@ -489,10 +489,9 @@ def _refitted(
     refit = search.refit([((own,), values)], ROUNDS, "fine")[0]
     columns = search.fitted(refit)
     slopes = search.jacobian(refit)
-    span = (search.high - search.low)[columns]
     spread = max(refit.cost, 1.0) * SETTINGS.correlated
     covariance = np.linalg.pinv(slopes.T @ slopes) * spread
-    half = 1.645 * np.sqrt(np.maximum(np.diag(covariance), 0.0)) * span
+    half = 1.645 * np.sqrt(np.maximum(np.diag(covariance), 0.0)) * search.spans[columns]
     fitted = {lib.names[c]: float(refit.values[c]) for c in columns}
     intervals = {lib.names[c]: float(h) for c, h in zip(columns, half, strict=True)}
     known = lib.model.parameters()

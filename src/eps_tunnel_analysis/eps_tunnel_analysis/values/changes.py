@@ -37,7 +37,7 @@ from labyrinth_sim.model import Model
 MOST_CHANGES = 2  # on one axis
 STEP_OF_A_VALUE = 0.3  # of a value: the strength around which changes of it are tried, or
 STEP_OF_ITS_SPAN = 0.05  # of its bounds' span, where that is more
-PROFILED = (1e-3, 0.5)  # of a value's bounds' span, to either side, in
+PROFILED = (1e-3, 0.5)  # of a value's span, to either side, in
 PROFILE_POINTS = 14
 CHI2_95 = 3.84  # quantile of chi-squared with one degree of freedom
 #: Share of the noise floor to which differences of the same command on two dates are held before something is said to
@@ -414,8 +414,7 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
         return []
     columns = search.fitted(refit)
     found = intervals(search.jacobian(refit), refit.residuals, search.blocks.astype(float))
-    span = (search.high - search.low)[columns]
-    half = np.maximum(found.half_width * span, [_profile(search, refit, column) for column in columns])
+    half = np.maximum(found.half_width * search.spans[columns], [_profile(search, refit, column) for column in columns])
     units = {name: info.unit for name, info in search.library.model.parameters().items()}
     owner = {p: c for c in map(search.library.find, refit.effects) for p in c.parameters}
     present = model.values()
@@ -437,8 +436,7 @@ def _profile(search: Search, refit: Refit, column: int) -> float:
 
     How far to either side the misfit stays within what chance makes of it, for as many samples as are independent.
     """
-    span = search.high[column] - search.low[column]
-    away = span * np.geomspace(*PROFILED, PROFILE_POINTS)
+    away = search.spans[column] * np.geomspace(*PROFILED, PROFILE_POINTS)
     points = np.tile(refit.values, (2 * len(away), 1))
     points[:, column] = np.clip(refit.values[column] + np.concatenate([away, -away]), *_box(search, column))
     search.settle_at(refit)

@@ -45,7 +45,9 @@ EFFECT = Effect(
     equation="belt torque = k (s - clip(s, -w/2, w/2)) + d ds/dt where |s| > w/2, else 0, s = r motor - board; without "
     "a belt, angle' trails by at most w/2",
     parameters=(
-        Parameter("width", "rad", 0.0, 0.06, 0.0, 0.015, "0 to 3.4 deg; toy belts and worn gears show 0.5 to 2 deg"),
+        Parameter(
+            "width", "rad", 0.0, 0.4, 0.0, 0.015, "0 to 23 deg; toy belts and worn gears show 0.5 to 2 deg", span=0.06
+        ),
         Parameter("hold", "N m", 1e-4, 0.05, None, 0.005, "friction that holds the load while the belt is slack"),
     ),
     stage="mjcf",

@@ -17,7 +17,11 @@ EFFECT = Effect(
     title="Dead band",
     physics="The servo ignores errors below its compliance margin.",
     equation="e' = e - clip(e, -w, w)",
-    parameters=(Parameter("half_width", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of compliance margin"),),
+    parameters=(
+        Parameter(
+            "half_width", "rad", 0.0, 0.4, 0.0, 0.01, "0 to 23 deg; a compliance margin is some ticks", span=0.05
+        ),
+    ),
     stage="drive",
     mark="The axis stops short of its target by a fixed angle on the side it came from; small commands do nothing.",
     shows="loop",

@@ -19,7 +19,8 @@ EFFECT = Effect(
     equation="angle' = angle + b",
     parameters=(
         Parameter(
-            "bias", "rad", -0.1, 0.1, 0.0, 0.02, "+-6 deg: a potentiometer glued on by eye, a horn one tooth off"
+            *("bias", "rad", -0.5, 0.5, 0.0, 0.02, "+-29 deg: a potentiometer glued on by eye, a horn some teeth off"),
+            span=0.2,
         ),
     ),
     stage="measurement",
