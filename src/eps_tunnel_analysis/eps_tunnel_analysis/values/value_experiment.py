@@ -15,8 +15,7 @@ import numpy as np
 from scipy.stats import norm
 
 from eps_tunnel_analysis.diagnose.evidence import play_evidence
-from eps_tunnel_analysis.diagnose.experiment import RATE, STEP, STOP
-from eps_tunnel_analysis.diagnose.menu import menu
+from eps_tunnel_analysis.diagnose.experiment import RATE, STEP, STOP, menu
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import moved
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, free_parameters
