@@ -8,10 +8,9 @@ from functools import partial
 import numpy as np
 from scipy.stats import qmc
 
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
-from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
