@@ -252,7 +252,8 @@ def side_by_side(
 ) -> list[Answer]:
     """What a search finds of each item, in their order; the answers do not depend on how many run at once.
 
-    The roll-outs of one axis alone are too few to keep all CPUs busy. An error, or Ctrl-C, in one ends the others at their next roll-outs.
+    The roll-outs of one axis alone are too few to keep all CPUs busy. An error, or Ctrl-C, in one ends the others at
+    their next roll-outs.
     """
     if len(items) < 2 or (run.nthread or os.cpu_count() or 1) < 2:
         return [search(item, run) for item in items]

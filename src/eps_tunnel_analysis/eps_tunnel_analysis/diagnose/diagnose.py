@@ -17,10 +17,9 @@ from eps_tunnel_analysis.diagnose.axis_search import (
 )
 from eps_tunnel_analysis.diagnose.ball import sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.base_values import Bases, fitted_bases
-from eps_tunnel_analysis.diagnose.doubts import doubts
+from eps_tunnel_analysis.diagnose.doubts import doubts, notes_of
 from eps_tunnel_analysis.diagnose.errors import distances
 from eps_tunnel_analysis.diagnose.experiment import next_experiment
-from eps_tunnel_analysis.diagnose.notes import notes_of
 from eps_tunnel_analysis.diagnose.progress import RolloutCount, RolloutProgress, expected_rollouts
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import Verdict, decide, sentence
