@@ -41,8 +41,7 @@ from eps_tunnel_analysis.law.missing_force import (
     missing_offset,
     trial_offsets,
 )
-from eps_tunnel_analysis.law.refit import floors_on, quick_bases, thorough_bases, worst_on
-from eps_tunnel_analysis.law.visit import Visit, visit
+from eps_tunnel_analysis.law.refit import Visit, floors_on, quick_bases, thorough_bases, visit, worst_on
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
