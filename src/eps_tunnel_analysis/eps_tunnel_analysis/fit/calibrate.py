@@ -14,7 +14,7 @@ from eps_tunnel_analysis.alikeness import KS, rig_against_itself
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.fit.agreement import differing
 from eps_tunnel_analysis.fit.differences import jacobian, moved
-from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy
+from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy, start_pose_deviation
 from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, FitProgress, Improvement, Journal
 from eps_tunnel_analysis.fit.intervals import (
     Intervals,
@@ -36,7 +36,6 @@ from eps_tunnel_analysis.fit.problem import (
     Residuals,
     by_axis,
 )
-from eps_tunnel_analysis.fit.start_pose import start_pose_deviation
 from eps_tunnel_analysis.outputs import plain, shown_value
 from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out
 from labyrinth_sim.errors import InputError, unknown_name

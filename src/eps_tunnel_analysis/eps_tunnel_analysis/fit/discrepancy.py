@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""By how much a missing effect may have shifted fitted values, to first order.
+"""By how much a missing effect, or the noise of the pose in which plays start, may have shifted values, to first order.
 
 A fit hides as much of a missing effect in its values as these can imitate; what is left says only how strong the rest
 is. So each effect of the library is tried: its part that the values can not imitate is scaled to what is left, and with
@@ -8,8 +8,8 @@ much as the best one does.
 """
 
 import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -170,3 +170,49 @@ def _stronger(lib: Library, off: Array, tried: _TriedEffects, which: Sequence[in
                 row[at] = min(max(moved, infos[name].low), infos[name].high)
         rows.append(row)
     return np.array(rows)
+
+
+def start_pose_deviation(
+    objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array, slopes: Array
+) -> Array:
+    """(k,) standard deviations, normalised, of what the noise of the pose in which plays start does to fitted values.
+
+    Each play and position starts by itself.
+
+    Args:
+        plays: that were fitted.
+        z: (k,) the fit, normalised.
+        residuals, slopes: (R,) and (R, k) there, in the fitness's scaling.
+    """
+    total = np.zeros(problem.size)
+    if not np.isfinite(slopes).all():
+        return total
+    inverse = np.linalg.pinv(slopes)
+    of_play = objective.blocks // len(objective.signals)
+    for change in start_changes(objective, plays, problem, z, residuals):
+        for number in range(len(plays)):
+            total += (inverse @ np.where(of_play == number, change, 0.0)) ** 2
+    return np.sqrt(total)
+
+
+def start_changes(
+    objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array
+) -> Iterator[Array]:
+    """For each position (R,) by how much residuals change as every play starts elsewhere, by the noise of its mean."""
+    values = problem.from_unit(z)[None]
+    runs = objective.rollouts
+    for signal, start in runs.initial.items():
+        noise = np.array([_noise_of_mean(play, signal) for play in plays])
+        if noise.any():
+            moved = copy.copy(objective)
+            moved.rollouts = replace(runs, initial={**runs.initial, signal: start + noise[runs.play]})
+            yield np.nan_to_num(problem.fitness.scaled(moved(values))[0] - residuals)
+
+
+def _noise_of_mean(play: Play, signal: str) -> float:
+    """Standard deviation of a signal's mean over a play's trials; 0 of a single one, of which nothing is known."""
+    if signal not in play.trials.signals or play.trials.count < 2:
+        return 0.0
+    values = play.trials.values[:, :, play.trials.index(signal)]
+    seen = values[:, np.isfinite(values).all(axis=0)]
+    return float(np.sqrt(np.mean(np.var(seen, axis=0, ddof=1)) / len(seen))) if seen.size else 0.0
