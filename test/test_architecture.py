@@ -31,7 +31,7 @@ SHARED_NAMES = {
     "STILL", "SURE", "VISIBLE",
 }  # fmt: skip
 # Imports against the order of the floors that are still to go: (module, folder).
-UPWARDS = {("fit.discrepancy", "diagnose"), ("fit.named_intervals", "diagnose"), ("fit.from_bags", "values")}
+UPWARDS = {("fit.discrepancy", "diagnose")}
 
 
 @cache

@@ -15,10 +15,10 @@ from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors
 from eps_tunnel_analysis.diagnose.falls import RecordingErrors, Three, by_recording, fall_sentences
+from eps_tunnel_analysis.diagnose.named_intervals import intervals_json, named_intervals
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
-from eps_tunnel_analysis.fit.named_intervals import intervals_json, named_intervals
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.outputs import plain
 from eps_tunnel_analysis.simulated import Play
