@@ -23,7 +23,7 @@ from labyrinth_sim.rig import BALL_SIGNALS
 
 PROMISING = 0.1  # of the misfit, to first order
 REFITTED = 2  # of the promising values, each alone
-FARTHEST = 4.0  # times a stated value, at the start of its refit
+FARTHEST_START = 4.0  # times a stated value, at the start of its refit
 TELLING = 0.5  # of the misfit that the best effect leaves; a value that leaves more is not doubted
 
 
@@ -75,7 +75,7 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
         points = np.tile(search.start, (3, 1))
         points[:, :last] = axis.base.values[:last]
         if info.value > 0.0:
-            value = min(max(value, info.value / FARTHEST), info.value * FARTHEST)
+            value = min(max(value, info.value / FARTHEST_START), info.value * FARTHEST_START)
         points[:, last] = np.clip([value, 2.0 * info.value, 0.5 * info.value], info.low, info.high)
         refit = base_from(search, list(points))
         if refit.cost < TELLING * best.cost:

@@ -28,11 +28,11 @@ from labyrinth_sim.trials import Array
 
 RATE = 100.0  # Hz
 STEP = 0.0025  # s, MuJoCo's
-ENOUGH = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood, at worst
+TELLS_APART = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood
 STOP = 0.98  # of an axis's range, beyond which it is at its stop
 WORTH = 0.35  # the same, for a command no harsher than those recorded: there the model leaves no more than it did
 
-SAME = 0.3  # of a command's root mean square, by which a recording of it may differ, as by a sample's delay, and
+SAME_COMMAND = 0.3  # of a command's root mean square, by which its recording may differ, as by a sample's delay, and
 SAME_LENGTH = 0.5  # s; commands of the menu differ by more
 SHARES = (0.25, 0.5, 0.9)  # of an axis's range: sizes of the menu's commands
 RANGE = 0.1  # rad, where a rig states no limits
@@ -180,9 +180,9 @@ def next_experiment(
 def chosen(offers: Sequence[tuple[Experiment, Harsh]]) -> Experiment | None:
     """The offer that `next_experiment` takes."""
     offers = [(o, harsh) for o, harsh in offers if not harsh.stopped] or offers
-    deciding = [(o, harsh) for o, harsh in offers if o.misfit >= ENOUGH]
+    deciding = [(o, harsh) for o, harsh in offers if o.misfit >= TELLS_APART]
     tested = [(o, harsh) for o, harsh in offers if harsh.tested and o.misfit >= WORTH]
-    gentle = [(o, harsh) for o, harsh in tested if o.misfit >= ENOUGH]
+    gentle = [(o, harsh) for o, harsh in tested if o.misfit >= TELLS_APART]
     if gentle or (deciding and not tested):
         return min(gentle or deciding, key=lambda offer: offer[1].acceleration)[0]
     return max((o for o, _ in tested or offers), key=lambda o: o.misfit, default=None)
@@ -195,7 +195,7 @@ def was_played(evidence: Evidence, command: Command) -> bool:
         time = evidence.times(number)
         if abs(time[-1] - command.duration) < SAME_LENGTH:
             apart = recorded - asked[np.searchsorted(at, time + 1e-9, side="right") - 1]
-            if np.nanmean(apart**2) < SAME**2 * np.mean(asked**2):
+            if np.nanmean(apart**2) < SAME_COMMAND**2 * np.mean(asked**2):
                 return True
     return False
 

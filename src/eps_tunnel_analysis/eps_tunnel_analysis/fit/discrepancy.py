@@ -22,10 +22,10 @@ from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
 
-ROWS = 4  # strengths at which an effect is tried
-AGAIN = 8  # effects that are tried again at the strength that explains most
+STRENGTHS_TRIED = 4  # strengths at which an effect is tried
+TRIED_AGAIN = 8  # effects that are tried again at the strength that explains most
 STRONGEST = 3.0  # times a strength that was tried
-NEAR = 0.02  # likelihood, over that of the best effect, from which one counts
+COUNTS_FROM = 0.02  # likelihood, over that of the best effect, from which one counts
 
 
 @dataclass(frozen=True)
@@ -115,11 +115,11 @@ def shifts_of(
         return _TriedEffects(rows, names, strength, -strength[:, None] * imitated, left)
 
     first = tried(rows, names)
-    best = _best_of_each(first)[:AGAIN]
+    best = _best_of_each(first)[:TRIED_AGAIN]
     again = tried(_stronger(lib, off, first, best), tuple(first.names[i] for i in best))
     left = np.concatenate([first.left, again.left])
     shift = np.concatenate([first.shift, again.shift])
-    near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(NEAR)
+    near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(COUNTS_FROM)
     likely = (*first.names, *again.names)[int(np.argmin(left))]
     return Discrepancy(shift[near], likely)
 
@@ -138,7 +138,7 @@ def _rows(lib: Library, candidates: Sequence[Candidate], off: Array) -> tuple[Ar
     rows, names = [], []
     for candidate in candidates:
         strengths = starts(candidate)
-        chosen = np.unique(np.linspace(0, len(strengths) - 1, ROWS).round().astype(int))
+        chosen = np.unique(np.linspace(0, len(strengths) - 1, STRENGTHS_TRIED).round().astype(int))
         columns = [lib.names.index(n) for n in candidate.parameters]
         for strength in strengths[chosen]:
             row = off.copy()

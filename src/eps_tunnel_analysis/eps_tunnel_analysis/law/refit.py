@@ -36,7 +36,7 @@ STRETCH = 1.5  # times the visited range of angles, at most
 WITHIN = 0.9  # of the rig's limits
 SPEEDS = (0.02, 0.06, 0.15, 0.4, 0.8)  # of the fastest motion so far
 SLOWEST, QUICKEST = 0.25, 3.0  # Hz, of triangles
-LEAST = 2.0  # s at one speed
+AT_ONE_SPEED = 2.0  # s at one speed
 SWEEP = 4.0  # s for one slow sweep over all angles
 PAUSES = (0.15, 0.4, 1.0)  # s between reversals
 
@@ -159,7 +159,7 @@ def _shapes(curve: str, low: float, high: float, fast: float) -> list[Shape]:
     if curve in ("curve_speed", "curve_load_friction"):
         for speed in (share * fast for share in SPEEDS):
             frequency = min(max(speed / (4.0 * half), SLOWEST), QUICKEST)
-            periods = math.ceil(LEAST * frequency)
+            periods = math.ceil(AT_ONE_SPEED * frequency)
             shapes.append(Triangle(periods / frequency, min(speed / (4.0 * frequency), half), frequency))
     elif curve == "curve_reversal":
         for pause in PAUSES:

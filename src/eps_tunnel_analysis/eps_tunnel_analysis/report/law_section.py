@@ -6,7 +6,7 @@ from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.report import law_charts
 from eps_tunnel_analysis.report.page import Bar, Block, Section, Table, Text
 
-LISTED = 6  # variables
+VARIABLES_LISTED = 6  # variables
 
 
 def law(proposal: Proposal) -> Section:
@@ -17,7 +17,7 @@ def law(proposal: Proposal) -> Section:
          shown_value(d.period, proposal.position_unit, 4) + (f", {d.traced}" if d.traced else "") if d.period else "",
          Bar(max(d.share, 0.0), f"{max(d.share, 0.0):.0%} ({max(d.interval[0], 0.0):.0%} to {d.interval[1]:.0%})"),
          "yes" if d.named else "")
-        for d in found.dependences[:LISTED]
+        for d in found.dependences[:VARIABLES_LISTED]
     ]  # fmt: skip
     blocks: list[Block] = [
         Text(proposal.sentence),

@@ -24,7 +24,7 @@ from labyrinth_sim.trials import Array, Trials, locked
 POINTS = 41  # of one value
 POINTS_OF_A_PAIR = 15  # of each of two
 MOST = 20_000  # points in all
-AT_ONCE = 64  # points that are simulated together
+POINTS_AT_ONCE = 64  # points that are simulated together
 NEAR = (0.5, 2.0)  # times the model's value, where no range is given
 
 
@@ -167,8 +167,8 @@ def sweep(
     for tunnel in tunnels:
         there = ~np.isnan(tunnel.mean)
         seen, seen_jointly = seen + there.sum(axis=0), seen_jointly + float(there.all(axis=1).sum())
-    for low in range(0, len(points), AT_ONCE):
-        some = points[low : low + AT_ONCE]
+    for low in range(0, len(points), POINTS_AT_ONCE):
+        some = points[low : low + POINTS_AT_ONCE]
         answers, _, _ = runs.simulate(model, [v.name for v in values], some, names, nthread)
         for row, answer in enumerate(answers, start=low):
             for number, (trials, tunnel) in enumerate(zip(real, tunnels, strict=True)):
