@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from eps_tunnel_analysis.fit.from_bags import Calibration
     from eps_tunnel_analysis.law.proposal import Proposal
     from eps_tunnel_analysis.loop.reason import DiagnosisOptions
-    from eps_tunnel_analysis.report.picture import Picture
+    from eps_tunnel_analysis.report.pictures import Picture
 
 Named = str | Path
 """A file or a folder."""
@@ -315,8 +315,7 @@ class StudyGap(_InNotebook):
 
     def plot(self) -> "Picture":
         """Simulation and tunnel of each signal, relative to the real mean."""
-        from eps_tunnel_analysis.report.picture import Picture
-        from eps_tunnel_analysis.report.pictures import gap_picture
+        from eps_tunnel_analysis.report.pictures import Picture, gap_picture
 
         return Picture.of(gap_picture(self.comparison))
 
@@ -392,8 +391,7 @@ class StudyReason(_InNotebook):
 
     def plot(self) -> "Picture":
         """The hypotheses' probabilities."""
-        from eps_tunnel_analysis.report.picture import Picture
-        from eps_tunnel_analysis.report.pictures import hypotheses_picture
+        from eps_tunnel_analysis.report.pictures import Picture, hypotheses_picture
 
         return Picture.of(hypotheses_picture(self.verdict))
 
