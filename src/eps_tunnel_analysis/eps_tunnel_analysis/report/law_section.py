@@ -13,7 +13,6 @@ from eps_tunnel_analysis.report.page import Bar, Block, Chart, Line, Section, Ta
 from labyrinth_sim.trials import Array
 
 VARIABLES_LISTED = 6  # variables
-
 DRAWN = 700  # nodes, at most
 WIDEST = 3.0  # times the largest value of a curve that its band is drawn to
 OVER: Mapping[str, tuple[str, str]] = {
