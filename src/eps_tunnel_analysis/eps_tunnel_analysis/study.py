@@ -16,7 +16,6 @@ from rich.console import Console
 
 from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.compare import Comparison, compare
-from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.inputs import Reading, Recorded, Sides, bags, load_recorded, load_sides, model_of
 from eps_tunnel_analysis.outputs import circumstances, new_folder, refuse_existing, shown_share, shown_value, versions
 from eps_tunnel_analysis.recording import TimeSource
@@ -306,7 +305,7 @@ class StudyGap(_InNotebook):
     @property
     def error(self) -> float:
         """Equation 10, mean over the signals in rad, or those in m where none turns."""
-        return mean_error([e.command_error for e in self.comparison.errors], self.comparison.real.units)
+        return self.comparison.mean_error
 
     @property
     def alikeness(self) -> dict[float, float]:
