@@ -24,14 +24,8 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
     "eps_tunnel_analysis": ({"labyrinth_sim"}, {"labyrinth_sim", "labyrinth_msgs"}),
 }
 
-# Of constants that have one name and several values, those that are still to be told apart.
-SHARED_NAMES = {
-    "AGAIN", "ALIKE", "AT_ONCE", "BEYOND", "ENOUGH", "FARTHEST", "FASTEST", "FEWEST", "LATE", "LEAST", "LISTED",
-    "MARGIN", "NEAR", "PAIRED", "ROUGH", "ROWS", "SAME", "SETTLED", "SLOWEST", "SMALL", "STANDS", "STEADY", "STEP",
-    "STILL", "SURE", "VISIBLE",
-}  # fmt: skip
 # Imports against the order of the floors that are still to go: (module, folder).
-UPWARDS = {("fit.discrepancy", "diagnose"), ("fit.named_intervals", "diagnose"), ("fit.from_bags", "values")}
+UPWARDS = {("fit.discrepancy", "diagnose")}
 
 
 @cache
@@ -221,7 +215,7 @@ def test_a_name_stands_for_one_number(package: str) -> None:
     places: dict[str, dict[float, str]] = {}
     for name, value, where in constants(package):
         places.setdefault(name, {}).setdefault(value, where)
-    assert {name: v for name, v in places.items() if len(v) > 1 and name not in SHARED_NAMES} == {}
+    assert {name: values for name, values in places.items() if len(values) > 1} == {}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -14,8 +14,7 @@ import testbed_cases
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
 from eps_tunnel_analysis.simulated import Play
-from eps_tunnel_analysis.values.changes import Changes, changes
-from eps_tunnel_analysis.values.dates import over_dates
+from eps_tunnel_analysis.values.changes import Changes, changes, over_dates
 from labyrinth_hw.testbed.hidden import Hidden, hide
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model, load_model

@@ -18,7 +18,7 @@ from eps_tunnel_analysis.alikeness import (
     alikeness_over_k,
     rig_against_itself,
 )
-from eps_tunnel_analysis.error import SignalError, signal_errors
+from eps_tunnel_analysis.error import SignalError, mean_error, signal_errors
 from eps_tunnel_analysis.outputs import plain
 from eps_tunnel_analysis.phases import Misfit, sentences, where
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
@@ -86,6 +86,11 @@ class Comparison:
         ]
         joint = Curve(JOINTLY, tuple(a.joint for a in self.alikeness), tuple(a.joint for a in self.against_itself))
         return (*made, *([joint] if len(made) > 1 else []))
+
+    @property
+    def mean_error(self) -> float:
+        """Equation 10, mean over the signals in rad, or those in m where none turns."""
+        return mean_error([e.command_error for e in self.errors], self.real.units)
 
     @property
     def most_off(self) -> int:

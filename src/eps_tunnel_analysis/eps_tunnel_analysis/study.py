@@ -16,7 +16,6 @@ from rich.console import Console
 
 from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.compare import Comparison, compare
-from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.inputs import Reading, Recorded, Sides, bags, load_recorded, load_sides, model_of
 from eps_tunnel_analysis.outputs import circumstances, new_folder, refuse_existing, shown_share, shown_value, versions
 from eps_tunnel_analysis.recording import TimeSource
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
     from eps_tunnel_analysis.fit.from_bags import Calibration
     from eps_tunnel_analysis.law.proposal import Proposal
     from eps_tunnel_analysis.loop.reason import DiagnosisOptions
-    from eps_tunnel_analysis.report.picture import Picture
+    from eps_tunnel_analysis.report.pictures import Picture
 
 Named = str | Path
 """A file or a folder."""
@@ -306,7 +305,7 @@ class StudyGap(_InNotebook):
     @property
     def error(self) -> float:
         """Equation 10, mean over the signals in rad, or those in m where none turns."""
-        return mean_error([e.command_error for e in self.comparison.errors], self.comparison.real.units)
+        return self.comparison.mean_error
 
     @property
     def alikeness(self) -> dict[float, float]:
@@ -315,8 +314,7 @@ class StudyGap(_InNotebook):
 
     def plot(self) -> "Picture":
         """Simulation and tunnel of each signal, relative to the real mean."""
-        from eps_tunnel_analysis.report.picture import Picture
-        from eps_tunnel_analysis.report.pictures import gap_picture
+        from eps_tunnel_analysis.report.pictures import Picture, gap_picture
 
         return Picture.of(gap_picture(self.comparison))
 
@@ -392,8 +390,7 @@ class StudyReason(_InNotebook):
 
     def plot(self) -> "Picture":
         """The hypotheses' probabilities."""
-        from eps_tunnel_analysis.report.picture import Picture
-        from eps_tunnel_analysis.report.pictures import hypotheses_picture
+        from eps_tunnel_analysis.report.pictures import Picture, hypotheses_picture
 
         return Picture.of(hypotheses_picture(self.verdict))
 

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from eps_tunnel_analysis.fit.problem import Part
 
 WIDE = 160  # columns where the output is a file or a pipe
-SMALL = 0.001  # probability below which a hypothesis is not listed
+LEAST_LISTED = 0.001  # probability below which a hypothesis is not listed
 LINE_EVERY = 0.2  # s between two lines of progress
 SPEAK_EVERY = 15.0  # s between two lines of progress where there is no terminal
 ITSELF = "rig against itself"
-LISTED = 10  # recordings of a fit
+RECORDINGS_LISTED = 10  # recordings of a fit
 
 
 def console(stderr: bool = False) -> Console:
@@ -129,10 +129,10 @@ def print_calibration(result: "CalibrationResult", notes: Sequence[str], out: Co
                 shown_value(p.after, p.unit),
                 f"{p.change - 1:+.0%}",
             )
-            for p in result.plays[:LISTED]
+            for p in result.plays[:RECORDINGS_LISTED]
         ]
         count = len(result.plays)
-        some = f", those that fared worst, {LISTED} of {count}" if count > LISTED else ""
+        some = f", those that fared worst, {RECORDINGS_LISTED} of {count}" if count > RECORDINGS_LISTED else ""
         table(
             out, f"Error of each recording{some}", ("recording", "", "E before", "E after", "change"), by_play, left=2
         )
@@ -170,7 +170,7 @@ def print_verdict(verdict: "Verdict", notes: Sequence[str] = (), out: Console | 
 
     out, v = out or console(), verdict
     out.print(v.sentence, style="bold", soft_wrap=True, markup=False)
-    rows = [(name, f"{p:.1%}", "*" if name in v.stated else "") for name, p in v.set.items() if p >= SMALL]
+    rows = [(name, f"{p:.1%}", "*" if name in v.stated else "") for name, p in v.set.items() if p >= LEAST_LISTED]
     table(out, "Hypotheses", ("hypothesis", "probability", "in the stated set"), rows)
     if v.effects:
         print_recordings(out, v.plays, unit)

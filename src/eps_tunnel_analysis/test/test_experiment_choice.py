@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from eps_tunnel_analysis.diagnose.experiment import Experiment, Harsh, chosen, harshness, left_after_fit
-from eps_tunnel_analysis.diagnose.menu import menu
+from eps_tunnel_analysis.diagnose.experiment import Experiment, Harsh, chosen, harshness, left_after_fit, menu
 from eps_tunnel_analysis.sequence_file import parse_sequence
 from labyrinth_sim.model import load_model
 

@@ -13,8 +13,7 @@ from eps_tunnel_analysis.diagnose.axis import nested_refits, next_refits, refine
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
-from eps_tunnel_analysis.diagnose.experiment import was_played
-from eps_tunnel_analysis.diagnose.menu import menu
+from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.search import Job, Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play

@@ -3,9 +3,8 @@ import threading
 
 import pytest
 
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, Stopped, side_by_side
 from eps_tunnel_analysis.diagnose.progress import RolloutCount
-from eps_tunnel_analysis.diagnose.side_by_side import Stopped, side_by_side
 
 DEADLINE = 20.0  # s, after which a test that hangs is given up
 

@@ -9,7 +9,7 @@ from fit_cases import TRUTH, made_by, plays, start, step
 
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.simulated import Play, roll_out
-from eps_tunnel_analysis.values.what_if import WhatIf, adjustable
+from eps_tunnel_analysis.values.sweep import WhatIf, adjustable
 from labyrinth_sim.errors import InputError
 
 

@@ -17,16 +17,16 @@ from labyrinth_sim.rig import Axis, Measured
 from labyrinth_sim.trials import Array
 
 UNEVEN = 0.2  # jitter, as a share of the sample time, that is worth a word
-LATE = 1.5  # sample times, beyond which a command is late
+LATE_COMMAND = 1.5  # sample times, beyond which a command is late
 MANY_LATE = 0.02  # share of the commands
 RAGGED = 0.02  # share of the samples, from which a signal counts as clipped
 CLIPPED_RUN = 0.2  # s on end at the extreme
-STILL = 0.3  # share of a trial's time, during which a signal stands while its command moves
+STILL_SHARE = 0.3  # share of a trial's time, during which a signal stands while its command moves
 MOVED = 0.2  # share of the command's range, that counts as moving
 DEGREES = 4.0 * np.pi  # rad; a reach beyond is hardly a servo's in rad
 TOO_STRONG = 3.0  # times what a drive can give; efforts beyond are hardly N m
 FEW = 5  # trials, below which what a rig repeats is known roughly only
-STEADY = 1e-6  # s of jitter that is none
+NO_JITTER = 1e-6  # s of jitter that is none
 
 
 @dataclass(frozen=True)
@@ -136,14 +136,14 @@ def _timing(name: str, series: Sequence[Series], commands: bool = False) -> Iter
         return
     apart = np.concatenate(steps)
     period = float(np.median(apart))
-    usual = apart[apart < LATE * period]
+    usual = apart[apart < LATE_COMMAND * period]
     jitter = float(np.std(usual)) if len(usual) else 0.0
-    even = f"jitter {shown_number(1e3 * jitter, 2)} ms" if jitter > STEADY else "evenly"
+    even = f"jitter {shown_number(1e3 * jitter, 2)} ms" if jitter > NO_JITTER else "evenly"
     words = f"{name}: {shown_number(1.0 / period, 4)} Hz, {even}"
-    late = float(np.mean(apart > LATE * period))
+    late = float(np.mean(apart > LATE_COMMAND * period))
     gaps = apart[apart > max(MAX_GAP, 5.0 * period)]
     if commands and late > MANY_LATE and period < MAX_GAP:
-        words += f", {late:.1%} later than {LATE:g} periods"
+        words += f", {late:.1%} later than {LATE_COMMAND:g} periods"
     if len(gaps):
         words += f", {len(gaps)} gaps up to {shown_number(gaps.max())} s"
     ragged = jitter > UNEVEN * period
@@ -205,7 +205,7 @@ def _stuck(axis: Axis, name: str, plays: Sequence[Play]) -> Iterator[Finding]:
                 moved = np.ptp(np.nan_to_num(command[low:high])) if high - low > 1 else 0.0
                 if span > 0.0 and moved > MOVED * span:
                     worst = max(worst, (high - low) / len(values))
-    if worst > STILL:
+    if worst > STILL_SHARE:
         yield Finding(
             name, True,
             f"{name} stands still for {worst:.0%} of a trial while its command moves: a stuck sensor, or a drive that "

@@ -24,15 +24,15 @@ from labyrinth_sim.trials import Array
 
 Answer = Literal["identifiable", "weak", "no"]
 
-STEP = 0.005  # s, at most, between the steps of the roll-outs
+LONGEST_STEP = 0.005  # s, at most, between the steps of the roll-outs
 MOST_SECONDS = 60.0  # of plays that are rolled out; the first in any case
 SLOPE = 0.05  # share of a value by which it is moved; the bounds of a search may be a thousand times as wide
-LATE = 0.6  # share of a delay's bounds by which it is moved: as far as a typical delay of commands
+DELAY_SHARE = 0.6  # share of a delay's bounds by which it is moved: as far as a typical delay of commands
 VISIBLE = 3.0  # floors, of an effect that is seen without doubt
-PRECISE, ROUGH = 0.2, 1.0  # 95 % interval over the value itself, up to which it is identifiable, weak
+PRECISE, WEAK = 0.2, 1.0  # 95 % interval over the value itself, up to which it is identifiable, weak
 LEAST_SIZE = 0.05  # share of the bounds' span that a value near 0 is weighed against
-ALIKE = 0.97  # correlation of two values' errors from which they cannot be told apart
-SAME = 0.999  # share of two values' effects in common, from which they are one: a mass, and an armature that slides
+INSEPARABLE = 0.97  # correlation of two values' errors from which they cannot be told apart
+SAME_EFFECT = 0.999  # share that two values' effects have in common, from which they are one: a mass and an armature
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def excitation(
     signals = tuple(dict.fromkeys(name for part in parts for name in part.signals))
     names = lib.names
     evidence = Evidence(
-        lib.model, names, [play_evidence(lib.model, p, signals) for p in chosen], signals, STEP, nthread
+        lib.model, names, [play_evidence(lib.model, p, signals) for p in chosen], signals, LONGEST_STEP, nthread
     )
     infos = lib.model.parameters()
     # A sledge in an MJCF may have no armature, which is less than a fit may try.
@@ -118,7 +118,7 @@ def _moved(start: Array, index: int, info: ParameterInfo) -> Array:
 def _step(info: ParameterInfo) -> float:
     """By how much a value is moved, in its unit; a delay as far as one that is typical of what is missing."""
     if info.unit == "s":
-        return LATE * info.span
+        return DELAY_SHARE * info.span
     return SLOPE * (abs(info.value) or LEAST_SIZE * info.span)
 
 
@@ -152,11 +152,11 @@ def _values(
             info = infos[base[i]]
             half = min(2.0 * float(deviation[k]), 1.0) * info.span
             share = half / max(abs(info.value), LEAST_SIZE * info.span)
-            answer: Answer = "identifiable" if share <= PRECISE else "weak" if share <= ROUGH else "no"
+            answer: Answer = "identifiable" if share <= PRECISE else "weak" if share <= WEAK else "no"
             others = [j for j in range(len(own)) if j != k]
-            same = [base[own[j]] for j in others if abs(scaled[k, j]) > SAME]
+            same = [base[own[j]] for j in others if abs(scaled[k, j]) > SAME_EFFECT]
             answer = "weak" if same and answer == "identifiable" else answer
-            alike = [base[own[j]] for j in others if abs(correlation[k, j]) > ALIKE or base[own[j]] in same]
+            alike = [base[own[j]] for j in others if abs(correlation[k, j]) > INSEPARABLE or base[own[j]] in same]
             alike = alike if answer != "identifiable" else []
             mend = "" if answer == "identifiable" else livelier(part.name, model, plays)
             found.append(Excited(info.name, part.name, "value", answer, half, info.unit, tuple(alike), mend))

@@ -20,7 +20,7 @@ from labyrinth_sim.errors import InputError
 
 if TYPE_CHECKING:
     from eps_tunnel_analysis.inputs import Recorded
-    from eps_tunnel_analysis.values.dates import DateOfRig
+    from eps_tunnel_analysis.values.changes import DateOfRig
 
 NAME = "changes"
 HELP = "Names which value or effect of a rig changed between two dates, and by how much."
@@ -58,8 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
-    from eps_tunnel_analysis.values.changes import changes
-    from eps_tunnel_analysis.values.dates import over_dates
+    from eps_tunnel_analysis.values.changes import changes, over_dates
 
     if arguments.out:
         refuse_existing(arguments.out)

@@ -15,10 +15,10 @@ from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors
 from eps_tunnel_analysis.diagnose.falls import RecordingErrors, Three, by_recording, fall_sentences
+from eps_tunnel_analysis.diagnose.named_intervals import intervals_json, named_intervals
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
-from eps_tunnel_analysis.fit.named_intervals import intervals_json, named_intervals
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.outputs import plain
 from eps_tunnel_analysis.simulated import Play
@@ -189,9 +189,10 @@ def _doubts(axis: AxisDiagnosis, names: Collection[str], fitted: Mapping[str, fl
     columns = np.array(search.fitted(refit), dtype=int)
     values = np.array([fitted[search.library.names[i]] for i in columns])
     low, high = search.low[columns], search.high[columns]
-    near = np.minimum(values - low, high - values) < AT_BOUND * (high - low)
+    close = AT_BOUND * search.spans[columns]
+    near = np.minimum(values - low, high - values) < close
     # A drive's value that stays as stated is no finding; an effect's that stays switched off is one.
-    kept = np.abs(values - search.start[columns]) < AT_BOUND * (high - low)
+    kept = np.abs(values - search.start[columns]) < close
     near &= ~kept | (columns >= len(search.library.base))
     said = [
         f"{search.library.names[i]} lies at its bound, {value:.4g}: the truth may lie beyond, or it stands "

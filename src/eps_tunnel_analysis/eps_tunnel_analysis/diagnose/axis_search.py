@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What belongs to one axis, and the search over its candidates."""
+"""What belongs to one axis, the search over its candidates, and axes that are searched at the same time."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
+from threading import Event
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +38,9 @@ EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves, but
 LOAD_STEP = 0.001  # of the servo's full torque
 EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
 MOVES = 1e-3  # rad; a command that spans less excites nothing
+
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -234,3 +241,47 @@ def is_steady(command: Array, step: float) -> NDArray[np.bool_]:
     busy = turn > SPEED_CHANGE * max(float(np.ptp(held)), 1e-9)
     recent = max(1, round(SETTLED / step))
     return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)
+
+
+class Stopped(Exception):
+    """The search is no longer wanted."""
+
+
+def side_by_side(
+    search: Callable[[Item, SearchOptions], Answer], items: Sequence[Item], run: SearchOptions
+) -> list[Answer]:
+    """What a search finds of each item, in their order; the answers do not depend on how many run at once.
+
+    The roll-outs of one axis alone are too few to keep all CPUs busy. An error, or Ctrl-C, in one ends the others at
+    their next roll-outs.
+    """
+    if len(items) < 2 or (run.nthread or os.cpu_count() or 1) < 2:
+        return [search(item, run) for item in items]
+    stop = Event()
+
+    def progress(what: str, count: int) -> None:
+        if stop.is_set():
+            raise Stopped
+        if run.progress:
+            run.progress(what, count)
+
+    watched = replace(run, progress=progress)
+
+    def one(item: Item) -> Answer:
+        try:
+            return search(item, watched)
+        except BaseException:
+            stop.set()
+            raise
+
+    with ThreadPoolExecutor(len(items)) as pool:
+        futures = [pool.submit(one, item) for item in items]
+        try:
+            wait(futures)
+        except BaseException:  # Ctrl-C comes here
+            stop.set()
+            raise
+    errors = [error for future in futures if (error := future.exception())]
+    if errors:
+        raise min(errors, key=lambda error: isinstance(error, Stopped))
+    return [future.result() for future in futures]

@@ -8,10 +8,9 @@ from functools import partial
 import numpy as np
 from scipy.stats import qmc
 
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
-from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
@@ -19,11 +18,11 @@ from labyrinth_sim.trials import Array
 BASE_POINTS = 64  # values of the base tried before it is descended, and
 BASE_STARTS = 8  # how many of them are descended
 APART = 0.1  # of a value's span, between starts
-NEAR = 0.2  # of a value's span, where half of them lie around the model's own
+NEAR_OWN = 0.2  # of a value's span, where half of them lie around the model's own
 BASE_ROUNDS = 8  # of each descent
 COMPARED_ROUNDS = 3  # of the finalists, before they are compared
 VALLEY_POINTS = 8  # to either side of the best, along what it determines least
-AGAIN = 3  # descents more at most, while the last one helped
+MORE_DESCENTS = 3  # descents more at most, while the last one helped
 BASE_FINALISTS = 3  # of the starts, descended to the end
 
 
@@ -92,7 +91,7 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     span = search.spans[:size]
     points = np.tile(values, (len(drawn) + 1, 1))
     near = len(drawn) // 2
-    points[1 : near + 1, :size] = search.start[:size] + (drawn[:near] - 0.5) * NEAR * span
+    points[1 : near + 1, :size] = search.start[:size] + (drawn[:near] - 0.5) * NEAR_OWN * span
     points[near + 1 :, :size] = search.low[:size] + drawn[near:] * span
     points = np.clip(points, search.low, search.high)
     cost = np.mean(search.residuals(points) ** 2, axis=1)
@@ -127,7 +126,7 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     best_of_all = min(last, key=lambda r: r.objective)
     search.refine_at(best_of_all.values)
     result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
-    for number in range(AGAIN):
+    for number in range(MORE_DESCENTS):
         if worst_floors(result.residuals, search.signal) < 1.0:
             break
         search.settle_at(result)

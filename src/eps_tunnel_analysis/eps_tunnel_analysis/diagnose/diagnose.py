@@ -7,16 +7,21 @@ from dataclasses import replace
 
 from eps_tunnel_analysis.diagnose.axes import Diagnosis, axis_verdict, fit_names, left_out_error, together, with_refits
 from eps_tunnel_analysis.diagnose.axis import diagnose_axis, floor_known
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, ball_part, joined, moved_parts
+from eps_tunnel_analysis.diagnose.axis_search import (
+    SearchOptions,
+    axis_parts,
+    ball_part,
+    joined,
+    moved_parts,
+    side_by_side,
+)
 from eps_tunnel_analysis.diagnose.ball import sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.base_values import Bases, fitted_bases
-from eps_tunnel_analysis.diagnose.doubts import doubts
+from eps_tunnel_analysis.diagnose.doubts import doubts, notes_of
 from eps_tunnel_analysis.diagnose.errors import distances
 from eps_tunnel_analysis.diagnose.experiment import next_experiment
-from eps_tunnel_analysis.diagnose.notes import notes_of
 from eps_tunnel_analysis.diagnose.progress import RolloutCount, RolloutProgress, expected_rollouts
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.diagnose.side_by_side import side_by_side
 from eps_tunnel_analysis.diagnose.verdict import Verdict, decide, sentence
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.simulated import Play

@@ -9,7 +9,7 @@ runs into a stop, by any of the rivals, shows the stop instead.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -18,10 +18,9 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SETTLED, is_steady
 from eps_tunnel_analysis.diagnose.evidence import Evidence
-from eps_tunnel_analysis.diagnose.menu import menu
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.search import Refit
-from eps_tunnel_analysis.sequence import Command
+from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Step, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
@@ -29,12 +28,14 @@ from labyrinth_sim.trials import Array
 
 RATE = 100.0  # Hz
 STEP = 0.0025  # s, MuJoCo's
-ENOUGH = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood, at worst
+TELLS_APART = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood
 STOP = 0.98  # of an axis's range, beyond which it is at its stop
 WORTH = 0.35  # the same, for a command no harsher than those recorded: there the model leaves no more than it did
 
-SAME = 0.3  # of a command's root mean square, by which a recording of it may differ, as by a sample's delay, and
+SAME_COMMAND = 0.3  # of a command's root mean square, by which its recording may differ, as by a sample's delay, and
 SAME_LENGTH = 0.5  # s; commands of the menu differ by more
+SHARES = (0.25, 0.5, 0.9)  # of an axis's range: sizes of the menu's commands
+RANGE = 0.1  # rad, where a rig states no limits
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,53 @@ class _Rival:
     name: str
     points: Array
     old: Array
+
+
+def menu(model: Model, axis: str) -> dict[str, Command]:
+    """Commands for one axis, the others at rest or moving along, by name; all within the rig's limits."""
+    channels = model.rig.command_channels
+    chosen = next(i for i, a in enumerate(model.rig.axes) if a.name == axis)
+    reaches = [min(map(abs, a.limits)) if a.limits else RANGE for a in model.rig.axes]
+    found = {}
+    for share in SHARES:
+        for name, shapes, others in _rows(share * reaches[chosen], share):
+            label = f"{name}_{axis}_{round(math.degrees(share * reaches[chosen]) * 10):d}"
+            lasts = math.fsum(s.lasts for s in shapes)
+            rest = [[_scaled(s, reach) for s in others] if others else [Hold(lasts)] for reach in reaches]
+            rows = tuple(tuple(shapes) if i == chosen else tuple(rest[i]) for i in range(len(channels)))
+            if len(channels) > 1 or not others:
+                found[label] = Command(label, channels, (0.0,) * len(channels), rows)
+    return found
+
+
+def _rows(size: float, share: float) -> Iterator[tuple[str, list[Shape], list[Shape]]]:
+    """Name, shapes of the axis with angles up to `size` rad, and of the others, in shares of their range; none: at
+    rest.
+    """
+    for name, shapes in _shapes(size).items():
+        yield name, shapes, []
+    # First alone, then together with the others: what the axes share shows by what changes.
+    jumps = (0.25, -0.25, 1.0, -1.0)
+    alone = [Hold(0.5), *[Step(0.8, s * size) for s in (*jumps, *jumps, 0.0)]]
+    along = [Hold(0.5 + 4 * 0.8), *[Step(0.8, s * share) for s in (*jumps, 0.0)]]
+    yield "steps_together", alone, along
+
+
+def _shapes(size: float) -> dict[str, list[Shape]]:
+    return {
+        "slow_triangles": [Hold(0.5), Triangle(5.0, size / 4, 0.4), Triangle(6.0, size, 1 / 3), Hold(0.5)],
+        "fast_triangles": [Hold(0.5), Triangle(4.0, size / 2, 1.5), Triangle(4.0, size / 4, 3.0), Hold(0.5)],
+        "steps": [Hold(0.5), *[Step(1.0, s * size) for s in (0.25, -0.25, 0.5, -0.5, 1.0, -1.0, 0.1, 0.0)]],
+        "quick_steps": [Hold(0.5), *[Step(0.25, s * size) for s in (1.0, -1.0, 0.5, -0.5) * 8], Step(0.5, 0.0)],
+        "staircase": [Hold(0.3), *[Step(0.6, size * i / 5) for i in (1, 2, 3, 4, 5, 4, 3, 2, 1, 0, -1, -3, -5, -3, 0)]],
+        "ramps": [Hold(0.3), Ramp(2.5, size), Ramp(1.5, -size), Ramp(0.8, size), Ramp(0.4, 0.0), Ramp(4.0, -size),
+                  Hold(0.5)],
+        "chirp": [Hold(0.3), Chirp(8.0, size / 2, 0.3, 5.0), Hold(0.5)],
+    }  # fmt: skip
+
+
+def _scaled(shape: Shape, reach: float) -> Shape:
+    return Step(shape.lasts, shape.to * reach) if isinstance(shape, Step) else shape
 
 
 def next_experiment(
@@ -132,9 +180,9 @@ def next_experiment(
 def chosen(offers: Sequence[tuple[Experiment, Harsh]]) -> Experiment | None:
     """The offer that `next_experiment` takes."""
     offers = [(o, harsh) for o, harsh in offers if not harsh.stopped] or offers
-    deciding = [(o, harsh) for o, harsh in offers if o.misfit >= ENOUGH]
+    deciding = [(o, harsh) for o, harsh in offers if o.misfit >= TELLS_APART]
     tested = [(o, harsh) for o, harsh in offers if harsh.tested and o.misfit >= WORTH]
-    gentle = [(o, harsh) for o, harsh in tested if o.misfit >= ENOUGH]
+    gentle = [(o, harsh) for o, harsh in tested if o.misfit >= TELLS_APART]
     if gentle or (deciding and not tested):
         return min(gentle or deciding, key=lambda offer: offer[1].acceleration)[0]
     return max((o for o, _ in tested or offers), key=lambda o: o.misfit, default=None)
@@ -147,7 +195,7 @@ def was_played(evidence: Evidence, command: Command) -> bool:
         time = evidence.times(number)
         if abs(time[-1] - command.duration) < SAME_LENGTH:
             apart = recorded - asked[np.searchsorted(at, time + 1e-9, side="right") - 1]
-            if np.nanmean(apart**2) < SAME**2 * np.mean(asked**2):
+            if np.nanmean(apart**2) < SAME_COMMAND**2 * np.mean(asked**2):
                 return True
     return False
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
 from eps_tunnel_analysis.outputs import shown_share, shown_value
 
-LISTED = 3  # recordings that got worse
+WORSE_LISTED = 3  # recordings that got worse
 
 Three = tuple[Errors, Errors, Errors]
 """Of the model as given, with its values refitted, and with the effects."""
@@ -80,9 +80,9 @@ def fall_sentences(
     said = []
     if worse:
         shown = "; ".join(
-            f"{one.name} ({one.row[1]}), {one.row[2]} as given, {one.row[4]} now" for one in worse[:LISTED]
+            f"{one.name} ({one.row[1]}), {one.row[2]} as given, {one.row[4]} now" for one in worse[:WORSE_LISTED]
         )
-        more = f"; {len(worse) - LISTED} more" if len(worse) > LISTED else ""
+        more = f"; {len(worse) - WORSE_LISTED} more" if len(worse) > WORSE_LISTED else ""
         said.append(f"Worse than the model as given on {len(worse)} of {len(recordings)} recordings: {shown}{more}.")
     given, refitted, after = errors
     if not math.isfinite(given.error):

@@ -9,7 +9,7 @@ from typing import Protocol
 PER_BASE_VALUE = 95  # roll-outs for each base value of an axis: fitted first, and again beside the best effects
 PER_CANDIDATE = 30  # for each effect at each place: trial points, and its share of descents
 AND_THEN = 600  # for each axis: descents of the best, what they are mistaken for, judging
-STILL = 1.1  # times what was made; more than was expected may go on for a while
+MORE_TO_COME = 1.1  # times what was made; more than was expected may go on for a while
 
 
 class RolloutProgress(Protocol):
@@ -38,4 +38,4 @@ class RolloutCount:
                 self._before += self._now[what]
             self._now[what] = count
             made = self._before + sum(self._now.values())
-            self._report(what, made, max(self._expected, math.ceil(STILL * made)))
+            self._report(what, made, max(self._expected, math.ceil(MORE_TO_COME * made)))

@@ -14,9 +14,9 @@ from scipy.optimize import nnls
 
 from labyrinth_sim.trials import Array, Trials
 
-FEWEST = 4  # trials, for a drift; of three, every third set goes one way by chance
-STEADY = 6.0  # slope over its standard error, of a drift
-BEYOND = 10.0  # times what the sensors' noise alone would let the trials' means differ by
+TRIALS_OF_A_DRIFT = 4  # trials, for a drift; of three, every third set goes one way by chance
+STEADY_SLOPE = 6.0  # slope over its standard error, of a drift
+BEYOND_NOISE = 10.0  # times what the sensors' noise alone would let the trials' means differ by
 SHARE = 0.4  # of the differences between trials, and
 FOLLOWS = 0.6  # correlation with the squared speed, of uneven timing
 SMOOTH = 9  # samples
@@ -69,7 +69,7 @@ def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
     mean = values.mean(axis=0)
     offsets = (values - mean).mean(axis=1)
     rest = values - mean - offsets[:, None]
-    drift = _drift(offsets, rest) if len(values) >= FEWEST else 0.0
+    drift = _drift(offsets, rest) if len(values) >= TRIALS_OF_A_DRIFT else 0.0
     speed = np.gradient(uniform_filter1d(mean, 5), step)
     jitter = _jitter(rest - _whole(rest, speed, step), speed)
     return Repeats(signal, unit, drift, jitter if jitter > step * OUT_OF_STEP else 0.0)
@@ -93,7 +93,7 @@ def _drift(offsets: Array, rest: Array) -> float:
     white = np.sqrt(0.5 * np.mean(np.diff(rest, axis=1) ** 2) / rest.shape[1])
     whole = slope * (len(offsets) - 1)
     one_way = bool(np.all(np.diff(offsets) > 0) or np.all(np.diff(offsets) < 0))
-    return whole if one_way and abs(slope) > STEADY * scatter and abs(whole) > BEYOND * white else 0.0
+    return whole if one_way and abs(slope) > STEADY_SLOPE * scatter and abs(whole) > BEYOND_NOISE * white else 0.0
 
 
 def _jitter(rest: Array, speed: Array) -> float:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from eps_tunnel_analysis.fit.discrepancy import start_changes
 from eps_tunnel_analysis.fit.intervals import intervals
 from eps_tunnel_analysis.fit.problem import Objective, Problem
-from eps_tunnel_analysis.fit.start_pose import start_changes
 from eps_tunnel_analysis.outputs import shown_value
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.trials import Array

@@ -14,7 +14,7 @@ from eps_tunnel_analysis.alikeness import KS, rig_against_itself
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.fit.agreement import differing
 from eps_tunnel_analysis.fit.differences import jacobian, moved
-from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy
+from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy, start_pose_deviation
 from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, FitProgress, Improvement, Journal
 from eps_tunnel_analysis.fit.intervals import (
     Intervals,
@@ -36,7 +36,6 @@ from eps_tunnel_analysis.fit.problem import (
     Residuals,
     by_axis,
 )
-from eps_tunnel_analysis.fit.start_pose import start_pose_deviation
 from eps_tunnel_analysis.outputs import plain, shown_value
 from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out
 from labyrinth_sim.errors import InputError, unknown_name
@@ -49,7 +48,7 @@ NEGLIGIBLE_STEP = 1e-4  # normalised; a promise this close by is no promise
 PROMISED_GAIN = 0.05  # of the squared residuals; less counts as converged
 FITNESS = ("error", "srg")
 WORSE = 1.02  # times the error before; a recording beyond it is told
-LISTED = 3  # recordings that got worse
+WORSE_LISTED = 3  # recordings that got worse
 
 
 @dataclass(frozen=True)
@@ -520,9 +519,9 @@ def _worse(plays: Sequence[PlayChange]) -> list[str]:
     told = [
         f"{p.name} ({'held out' if p.held_out else 'fitted'}), {shown_value(p.before, p.unit)} before, "
         f"{shown_value(p.after, p.unit)} after"
-        for p in worse[:LISTED]
+        for p in worse[:WORSE_LISTED]
     ]
-    more = f"; {len(worse) - LISTED} more" if len(worse) > LISTED else ""
+    more = f"; {len(worse) - WORSE_LISTED} more" if len(worse) > WORSE_LISTED else ""
     return [f"Worse than before on {len(worse)} of {len(plays)} recordings: {'; '.join(told)}{more}."] if worse else []
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""By how much a missing effect may have shifted fitted values, to first order.
+"""By how much a missing effect, or the noise of the pose in which plays start, may have shifted values, to first order.
 
 A fit hides as much of a missing effect in its values as these can imitate; what is left says only how strong the rest
 is. So each effect of the library is tried: its part that the values can not imitate is scaled to what is left, and with
@@ -8,8 +8,8 @@ much as the best one does.
 """
 
 import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
 
-ROWS = 4  # strengths at which an effect is tried
-AGAIN = 8  # effects that are tried again at the strength that explains most
+STRENGTHS_TRIED = 4  # strengths at which an effect is tried
+TRIED_AGAIN = 8  # effects that are tried again at the strength that explains most
 STRONGEST = 3.0  # times a strength that was tried
-NEAR = 0.02  # likelihood, over that of the best effect, from which one counts
+COUNTS_FROM = 0.02  # likelihood, over that of the best effect, from which one counts
 
 
 @dataclass(frozen=True)
@@ -115,11 +115,11 @@ def shifts_of(
         return _TriedEffects(rows, names, strength, -strength[:, None] * imitated, left)
 
     first = tried(rows, names)
-    best = _best_of_each(first)[:AGAIN]
+    best = _best_of_each(first)[:TRIED_AGAIN]
     again = tried(_stronger(lib, off, first, best), tuple(first.names[i] for i in best))
     left = np.concatenate([first.left, again.left])
     shift = np.concatenate([first.shift, again.shift])
-    near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(NEAR)
+    near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(COUNTS_FROM)
     likely = (*first.names, *again.names)[int(np.argmin(left))]
     return Discrepancy(shift[near], likely)
 
@@ -138,7 +138,7 @@ def _rows(lib: Library, candidates: Sequence[Candidate], off: Array) -> tuple[Ar
     rows, names = [], []
     for candidate in candidates:
         strengths = starts(candidate)
-        chosen = np.unique(np.linspace(0, len(strengths) - 1, ROWS).round().astype(int))
+        chosen = np.unique(np.linspace(0, len(strengths) - 1, STRENGTHS_TRIED).round().astype(int))
         columns = [lib.names.index(n) for n in candidate.parameters]
         for strength in strengths[chosen]:
             row = off.copy()
@@ -170,3 +170,49 @@ def _stronger(lib: Library, off: Array, tried: _TriedEffects, which: Sequence[in
                 row[at] = min(max(moved, infos[name].low), infos[name].high)
         rows.append(row)
     return np.array(rows)
+
+
+def start_pose_deviation(
+    objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array, slopes: Array
+) -> Array:
+    """(k,) standard deviations, normalised, of what the noise of the pose in which plays start does to fitted values.
+
+    Each play and position starts by itself.
+
+    Args:
+        plays: that were fitted.
+        z: (k,) the fit, normalised.
+        residuals, slopes: (R,) and (R, k) there, in the fitness's scaling.
+    """
+    total = np.zeros(problem.size)
+    if not np.isfinite(slopes).all():
+        return total
+    inverse = np.linalg.pinv(slopes)
+    of_play = objective.blocks // len(objective.signals)
+    for change in start_changes(objective, plays, problem, z, residuals):
+        for number in range(len(plays)):
+            total += (inverse @ np.where(of_play == number, change, 0.0)) ** 2
+    return np.sqrt(total)
+
+
+def start_changes(
+    objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array
+) -> Iterator[Array]:
+    """For each position (R,) by how much residuals change as every play starts elsewhere, by the noise of its mean."""
+    values = problem.from_unit(z)[None]
+    runs = objective.rollouts
+    for signal, start in runs.initial.items():
+        noise = np.array([_noise_of_mean(play, signal) for play in plays])
+        if noise.any():
+            moved = copy.copy(objective)
+            moved.rollouts = replace(runs, initial={**runs.initial, signal: start + noise[runs.play]})
+            yield np.nan_to_num(problem.fitness.scaled(moved(values))[0] - residuals)
+
+
+def _noise_of_mean(play: Play, signal: str) -> float:
+    """Standard deviation of a signal's mean over a play's trials; 0 of a single one, of which nothing is known."""
+    if signal not in play.trials.signals or play.trials.count < 2:
+        return 0.0
+    values = play.trials.values[:, :, play.trials.index(signal)]
+    seen = values[:, np.isfinite(values).all(axis=0)]
+    return float(np.sqrt(np.mean(np.var(seen, axis=0, ddof=1)) / len(seen))) if seen.size else 0.0

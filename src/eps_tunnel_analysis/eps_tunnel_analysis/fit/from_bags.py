@@ -10,9 +10,9 @@ from typing import Any
 from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.fit.calibrate import Bars, CalibrationResult, Score, Settings, calibrate_model
 from eps_tunnel_analysis.fit.problem import default_free, free_parameters
+from eps_tunnel_analysis.fit.validity import validity_of
 from eps_tunnel_analysis.inputs import Recorded
 from eps_tunnel_analysis.outputs import called, json_text, model_file, refuse_files, today, versions
-from eps_tunnel_analysis.values.validity import validity_of
 from labyrinth_sim.model import Model, save_model
 from labyrinth_sim.shown import shown
 from labyrinth_sim.whole_file import beside, folder_of, write_new

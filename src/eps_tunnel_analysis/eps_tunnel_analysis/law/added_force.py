@@ -16,9 +16,9 @@ from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array, locked
 
 STEP = 0.0025  # s, at most, between the steps of a roll-out
-STANDS = 1e-3  # rad/s, m/s; below it a joint keeps its direction
-MARGIN = 1.02  # times the visited range that a curve covers
-ROWS = 1e6
+STANDSTILL = 1e-3  # rad/s, m/s; below it a joint keeps its direction
+COVERED = 1.02  # times the visited range that a curve covers
+LAST_ROW = 1e6
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Forces:
             title="Added force",
             physics="A force over time, as a table.",
             equation="torque = table",
-            parameters=(Parameter("row", "1", 0.0, ROWS, 0.0, 1.0, "number of a row, from 1; 0 adds nothing"),),
+            parameters=(Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing"),),
             stage="force",
             mark="",
             shows="offset",
@@ -184,7 +184,7 @@ class Playing:
 
 def _reversals(speed: Array, step: float) -> tuple[Array, Array]:
     """(K,) direction of the last motion and s since it changed."""
-    sign = np.where(np.abs(speed) > STANDS, np.sign(speed), 0.0)
+    sign = np.where(np.abs(speed) > STANDSTILL, np.sign(speed), 0.0)
     last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
     direction = sign[last]
     changed = np.flatnonzero(np.diff(direction, prepend=0.0) != 0.0)
@@ -200,8 +200,8 @@ def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
     found = {
         "curve_angle": angle,
         "curve_angle_friction": angle,
-        "curve_speed": {"most": MARGIN * max(float(np.abs(m.speed).max()) for m in motions)},
-        "curve_load_friction": {"most": MARGIN * max(float(m.load.max()) for m in motions)},
+        "curve_speed": {"most": COVERED * max(float(np.abs(m.speed).max()) for m in motions)},
+        "curve_load_friction": {"most": COVERED * max(float(m.load.max()) for m in motions)},
         "curve_reversal": {"end": max(float(np.quantile(m.since, 0.98)) for m in motions)},
         "curve_time": {"end": max(float(m.time[-1]) for m in motions)},
         "curve_time_friction": {"end": max(float(m.time[-1]) for m in motions)},
@@ -214,4 +214,4 @@ def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
 
 def _middle(values: Sequence[Array]) -> dict[str, float]:
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-    return {"centre": 0.5 * (low + high), "half": max(0.5 * MARGIN * (high - low), 1e-3)}
+    return {"centre": 0.5 * (low + high), "half": max(0.5 * COVERED * (high - low), 1e-3)}

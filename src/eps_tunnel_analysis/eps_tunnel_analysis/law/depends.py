@@ -24,11 +24,11 @@ DRAWS = 400  # of the block bootstrap
 PERIODS = 120  # tried, evenly in the logarithm; by chance a third of them
 MOST_WAVES = 40.0  # within the range visited
 LEAST_WAVES = 0.8
-PAIRED = 3  # variables whose pairs are tried: those that explain most by themselves
+TRIED_IN_PAIRS = 3  # variables whose pairs are tried: those that explain most by themselves
 COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
-ALIKE = 0.05  # of the misfit: what explains so little more says no more
+NO_MORE = 0.05  # of the misfit: what explains so little more says no more
 FRICTION = (
     "curve_load_friction", "curve_angle_friction", "curve_other_friction", "curve_reversal", "curve_time_friction",
 )  # fmt: skip
@@ -334,7 +334,7 @@ def pairs(every: Sequence[Variable], shares: Sequence[float]) -> list[Variable]:
     for _, i in sorted((-share, i) for i, share in enumerate(shares)):
         if every[i].signal is None and every[i].quantity not in [v.quantity for v in best]:
             best.append(every[i])
-    best = best[:PAIRED]
+    best = best[:TRIED_IN_PAIRS]
     return [_pair(a, b) for i, a in enumerate(best) for b in best[i + 1 :]]
 
 
@@ -439,7 +439,7 @@ def depends(
     found.sort(key=lambda pair: -pair[0].share)
     ordered = tuple(d for d, _ in found)
     best = found[0][1]
-    near = [d for d, e in found if d.named and (e.share > best.share - ALIKE or not _better(best, e, seed))]
+    near = [d for d, e in found if d.named and (e.share > best.share - NO_MORE or not _better(best, e, seed))]
     if not near:
         return Depends(ordered, chance)
     # Waves have a period of their own to choose, so a smooth curve that explains as much is likelier.

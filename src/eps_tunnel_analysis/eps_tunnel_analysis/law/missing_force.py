@@ -28,11 +28,11 @@ DECAYED = 1.5  # s after which a push is forgotten, so that one roll-out answers
 PUSH = 0.2  # of the drive's torque, root mean square: to see how the motion answers
 LEAST_PUSH = 1e-4  # N m
 SMOOTH = np.geomspace(1e-3, 1e3, 7)  # of the curvature's weight, tried
-AT_ONCE = 512  # columns of an inverse
+COLUMNS_AT_ONCE = 512  # columns of an inverse
 LEFT_OUT = 4  # neighbouring samples, left out together
 FOLDS = 2
 PASSES = 6  # linearisations at most, and
-SETTLED = 0.1  # of the residuals' change by which a roll-out may differ from what its linearisation promised
+AS_PROMISED = 0.1  # of the residuals' change by which a roll-out may differ from what its linearisation promised
 DIFFERENCE = 1e-3  # of a value's bounds' span
 
 
@@ -222,7 +222,7 @@ def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array,
     """Whether roll-outs with the forces found leave what the last linearisation promised."""
     promised = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     left = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
-    return bool(np.mean((left - promised) ** 2) < SETTLED * max(float(np.mean(promised**2)), 1.0))
+    return bool(np.mean((left - promised) ** 2) < AS_PROMISED * max(float(np.mean(promised**2)), 1.0))
 
 
 def _nodes(times: Array) -> Array:
@@ -295,8 +295,8 @@ def _smoothed(residuals: Array, answer: csr_array, weight: float) -> tuple[Array
     left = float(np.mean((residuals + answer @ force) ** 2))
     spread = max(left, 1.0) * SETTINGS.correlated / 10.0
     variance = np.empty(len(force))
-    for begin in range(0, len(force), AT_ONCE):
-        own = np.arange(begin, min(begin + AT_ONCE, len(force)))
+    for begin in range(0, len(force), COLUMNS_AT_ONCE):
+        own = np.arange(begin, min(begin + COLUMNS_AT_ONCE, len(force)))
         unit = np.zeros((len(force), len(own)))
         unit[own, np.arange(len(own))] = 1.0
         variance[own] = _solved(factor, unit)[own, np.arange(len(own))]

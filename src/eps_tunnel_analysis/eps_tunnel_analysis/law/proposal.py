@@ -41,8 +41,7 @@ from eps_tunnel_analysis.law.missing_force import (
     missing_offset,
     trial_offsets,
 )
-from eps_tunnel_analysis.law.refit import floors_on, quick_bases, thorough_bases, worst_on
-from eps_tunnel_analysis.law.visit import Visit, visit
+from eps_tunnel_analysis.law.refit import Visit, floors_on, quick_bases, thorough_bases, visit, worst_on
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
@@ -53,9 +52,9 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 ROUNDS = 6
-ENOUGH = 2.0  # floors where left out: a formula that leaves no more needs no curve beside it
+NEEDS_NO_CURVE = 2.0  # floors where left out: a formula that leaves no more needs no curve beside it
 AS_GOOD = 1.2  # times the floors that the curve leaves where left out: a formula that leaves no more is preferred
-SAME = 1.02  # times the least that a formula leaves where left out: of those within it the shortest is kept
+NO_WORSE = 1.02  # times the least that a formula leaves where left out: of those within it the shortest is kept
 FALLS = 0.7  # of the base's floors where left out; what leaves more is not proposed
 CONFIRMED = 0.5  # of what a model leaves of another command beyond noise: a law that holds takes away as much
 
@@ -321,7 +320,7 @@ def propose(
         start = {f"{NAME}.{first.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
         tried.append(_refitted("formula", law, lib, plays, part, run, start))
     best = _best(tried)
-    if best is None or best.refit.held_out > ENOUGH:
+    if best is None or best.refit.held_out > NEEDS_NO_CURVE:
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, weights, strict=True)}
         free = _refitted("curve", nothing, lib, plays, part, run, start)
@@ -359,7 +358,7 @@ def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
     if not predicts:
         return None
     least = min(t.refit.held_out for t in predicts)
-    near = [t for t in predicts if t.refit.held_out <= SAME * least]
+    near = [t for t in predicts if t.refit.held_out <= NO_WORSE * least]
     return min(near, key=lambda t: (t.numbers, t.refit.held_out))
 
 

@@ -1,22 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refits without a diagnosis: the values that a model has, one effect beside them, and what is left of other plays."""
+"""What puts a law to the test: refits without a diagnosis, and the command that shows the law best.
 
+A refit gives the values that a model has, or one effect beside them, and says what is left of other plays. The command
+goes where the recordings did not, in the variable that the law depends on.
+"""
+
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import Search
+from eps_tunnel_analysis.law.added_force import Motion
+from eps_tunnel_analysis.law.depends import Dependence
+from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Shape, Triangle
+from eps_tunnel_analysis.sequence_file import sequence_text
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.build import axes_couple
 from labyrinth_sim.model import Model
+from labyrinth_sim.rig import Axis
 from labyrinth_sim.trials import Array
 
 DELAYS = (0.005, 0.015, 0.025, 0.035)  # s, tried besides the model's own: no descent leaves a wrong one
 FIRST, LAST = 4, 6  # rounds of descent
 TRIED = 4  # starts of an effect that are descended
+
+BINS = 10
+RARE = 0.01  # of the time, below which a tenth of a range counts as not visited
+STRETCH = 1.5  # times the visited range of angles, at most
+WITHIN = 0.9  # of the rig's limits
+SPEEDS = (0.02, 0.06, 0.15, 0.4, 0.8)  # of the fastest motion so far
+SLOWEST, QUICKEST = 0.25, 3.0  # Hz, of triangles
+AT_ONE_SPEED = 2.0  # s at one speed
+SWEEP = 4.0  # s for one slow sweep over all angles
+PAUSES = (0.15, 0.4, 1.0)  # s between reversals
 
 
 def quick_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], nthread: int = 0) -> Model:
@@ -76,3 +98,109 @@ def _as_it_is(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int)
     """A search over nothing, and the (R,) residuals of the model at its own values."""
     search = axis_search(model, plays, part, SearchOptions((), nthread))
     return search, search.residuals(search.start[None], "exact")[0]
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A sequence to play.
+
+    Attributes:
+        name: of the sequence.
+        command: what is played.
+        unvisited: spans of the variable, low to high in its unit, that the recordings hardly visit.
+        reason: in words.
+        linear: channels of slide joints.
+    """
+
+    name: str
+    command: Command
+    unvisited: tuple[tuple[float, float], ...]
+    reason: str
+    linear: tuple[str, ...] = ()
+
+    def to_yaml(self, trials: int = 5) -> str:
+        """A sequence file, ready to play."""
+        return sequence_text(self.command, self.reason, trials, self.linear)
+
+
+def visit(model: Model, axis: str, depends: Dependence, motions: Sequence[Motion]) -> Visit:
+    """The sequence that visits what the recordings do not.
+
+    Args:
+        depends: what is named.
+        motions: of the axis in the recordings.
+    """
+    own = model.rig.axis(axis)
+    low, high = _allowed(own, motions)
+    shapes = _shapes(depends.curve, low, high, max(float(np.abs(m.speed).max()) for m in motions))
+    lasts = math.fsum(s.lasts for s in shapes)
+    rows = tuple(tuple(shapes) if a is own else _along(a, own, motions, depends.curve, lasts) for a in model.rig.axes)
+    word = depends.curve.removeprefix("curve_")
+    name, channels = f"visit_{word}_{axis}", model.rig.command_channels
+    spans, unit = _unvisited(depends.curve, motions, low, high), "m" if own.slides else "rad"
+    unit += "/s" if word == "speed" else ""
+    parts = ", ".join(f"{a:.3g} to {b:.3g} {unit}" for a, b in spans)
+    reason = f"Visits {depends.variable} evenly" + (f"; hardly recorded so far: {parts}." if parts else ".")
+    linear = tuple(a.command for a in model.rig.axes if a.slides)
+    return Visit(name, Command(name, channels, (0.0,) * len(channels), rows), spans, reason, linear)
+
+
+def _allowed(axis: Axis, motions: Sequence[Motion]) -> tuple[float, float]:
+    """Angles that may be commanded: a little beyond those visited, within the rig's limits."""
+    low, high = min(float(m.angle.min()) for m in motions), max(float(m.angle.max()) for m in motions)
+    more = 0.5 * (STRETCH - 1.0) * (high - low)
+    return max(low - more, WITHIN * axis.limits[0]), min(high + more, WITHIN * axis.limits[1])
+
+
+def _shapes(curve: str, low: float, high: float, fast: float) -> list[Shape]:
+    """For the axis itself, from its middle."""
+    middle, half = round(0.5 * (low + high), 4), round(0.5 * (high - low), 4)
+    shapes: list[Shape] = [Ramp(1.0, middle), Hold(0.3)]
+    if curve in ("curve_speed", "curve_load_friction"):
+        for speed in (share * fast for share in SPEEDS):
+            frequency = min(max(speed / (4.0 * half), SLOWEST), QUICKEST)
+            periods = math.ceil(AT_ONE_SPEED * frequency)
+            shapes.append(Triangle(periods / frequency, min(speed / (4.0 * frequency), half), frequency))
+    elif curve == "curve_reversal":
+        for pause in PAUSES:
+            frequency = 0.5 / pause
+            speed = min(0.3 * fast, half / (0.5 * pause))
+            shapes.append(Triangle(max(2.0, 4.0 / frequency), 0.5 * speed * pause, frequency))
+    else:
+        shapes += [Triangle(SWEEP, half, 1.0 / SWEEP), Triangle(SWEEP, half, 2.0 / SWEEP)]
+        shapes += [Triangle(SWEEP, 0.5 * half, 3.0 / SWEEP)]
+        if curve.startswith("curve_time"):
+            shapes += [Triangle(5.0 * SWEEP, 0.5 * half, 3.0 / SWEEP)]
+    return [*shapes, Hold(0.5)]
+
+
+def _along(axis: Axis, own: Axis, motions: Sequence[Motion], curve: str, lasts: float) -> tuple[Shape, ...]:
+    """For another axis: at rest, or slowly over its range where the law depends on it."""
+    if not curve.startswith("curve_other"):
+        return (Hold(lasts),)
+    half = max((float(np.abs(m.other).max(initial=0.0)) for m in motions), default=0.0)
+    half = min(STRETCH * half, WITHIN * min(abs(limit) for limit in axis.limits))
+    return (Triangle(lasts, half, 1.5 / lasts),)
+
+
+def _unvisited(curve: str, motions: Sequence[Motion], low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """Spans of angle or speed that less than RARE of the time was spent in; of other variables none."""
+    if curve == "curve_speed":
+        values = np.concatenate([m.speed for m in motions])
+        edges = np.linspace(-1.0, 1.0, BINS + 1) * float(np.abs(values).max())
+    elif curve in ("curve_angle", "curve_angle_friction", "curve_sensor"):
+        values = np.concatenate([m.angle for m in motions])
+        edges = np.linspace(low, high, BINS + 1)
+    else:
+        return ()
+    return _joined(np.histogram(values, edges)[0] < RARE * len(values), edges)
+
+
+def _joined(empty: NDArray[np.bool_], edges: Array) -> tuple[tuple[float, float], ...]:
+    spans: list[tuple[float, float]] = []
+    for here, low, high in zip(empty.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if here and spans and spans[-1][1] == low:
+            spans[-1] = spans[-1][0], high
+        elif here:
+            spans.append((low, high))
+    return tuple(spans)

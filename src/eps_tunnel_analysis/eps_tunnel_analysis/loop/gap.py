@@ -73,7 +73,7 @@ class Gap:
     @property
     def error(self) -> float:
         """Equation 10, mean over the signals in `unit`."""
-        return mean_error([e.command_error for e in self.comparison.errors], self.comparison.real.units)
+        return self.comparison.mean_error
 
     @property
     def repeats(self) -> float:

@@ -12,11 +12,11 @@ from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.fit.cluster import Spread
+from eps_tunnel_analysis.fit.validity import validity_of
 from eps_tunnel_analysis.inputs import Reading, Recorded, load_recorded
 from eps_tunnel_analysis.law.proposal import Proposal, confirmed, proposal_of
 from eps_tunnel_analysis.outputs import new_folder, refuse_existing, refuse_files
 from eps_tunnel_analysis.report.reports import Findings, model_provenance, write_diagnosis
-from eps_tunnel_analysis.values.validity import validity_of
 from labyrinth_sim.model import Model, save_model
 from labyrinth_sim.shown import shown
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from eps_tunnel_analysis.values.what_if import Adjustable
+from eps_tunnel_analysis.values.sweep import Adjustable
 from labyrinth_sim.build import compiled
 from labyrinth_sim.model import Model
 

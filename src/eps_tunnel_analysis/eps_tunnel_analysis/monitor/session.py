@@ -50,7 +50,7 @@ from eps_tunnel_analysis.processes import CommandResult
 from eps_tunnel_analysis.sequence_file import find_sequence
 from eps_tunnel_analysis.tasks import AddTask, DiagnoseTask, run_task
 from eps_tunnel_analysis.terminal import rollout_line
-from eps_tunnel_analysis.values.what_if import Adjustable, WhatIf, WhatIfAnswer, adjustable
+from eps_tunnel_analysis.values.sweep import Adjustable, WhatIf, WhatIfAnswer, adjustable
 from labyrinth_sim import config
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import load_model

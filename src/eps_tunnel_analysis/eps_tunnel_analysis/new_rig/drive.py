@@ -24,16 +24,16 @@ ROUGH_LAW = 0.6  # share that it explains of each one's effort, and
 AGREE = 1.15  # times the smallest gain, within which all lie
 YIELDS = 0.5  # share of what else the error leaves that the weight explains, from which the drive gives way to it
 BETTER = 0.8  # of the first order's error, at most, for the second to be worth its values
-FASTEST = 25.0  # 1/s, of velocity_pid's P
+LARGEST_P = 25.0  # 1/s, of velocity_pid's P
 DELAYS = (0.0, 0.01, 0.02, 0.03, 0.05)  # s
 ROUND = 3  # digits of proposed values
 INERTIA = 0.4  # share of the effort's variance that the model's own inverse dynamics explains, for its unit to be told
 DUTY_GAIN = 0.01  # 1/rad; only its product with kp is known
 STALL = 3.0  # times the largest load of gravity, that full duty gives
-FEWEST = 20  # samples that tell a law
+SAMPLES_OF_A_LAW = 20  # samples that tell a law
 UNSEEN = 5.0  # times the largest effort, of a limit that the recordings do not show
 ROOM = 2.0  # of a drive's torque over what the recorded motion needs
-NEAR = 1.33  # times what it gives, up to which the effort is in that unit
+SAME_UNIT = 1.33  # times what it gives, up to which the effort is in that unit
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
     if duty and most > 0.999:
         return "duty", f"it never exceeds 1 and reaches it; {others}"
     explained, factor = _inverse(robot, joint, samples, scale, zero)
-    if explained > INERTIA and 1.0 / NEAR < factor < NEAR:
+    if explained > INERTIA and 1.0 / SAME_UNIT < factor < SAME_UNIT:
         return (
             si,
             f"the model's own inverse dynamics gives {factor:.2g} times as much, and explains {explained:.0%} of it",
@@ -90,7 +90,7 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
     share, k, *_ = _laws(samples, scale, zero)
     if share > 0.0:
         moved = inertia_of(robot, joint)[0] * _orders(samples, scale, zero)[1][1] ** 2
-        if 1.0 / NEAR < k / max(moved, 1e-300) < NEAR:
+        if 1.0 / SAME_UNIT < k / max(moved, 1e-300) < SAME_UNIT:
             rad = "m" if _slides(robot, joint) else "rad"
             return si, f"its stiffness, {k:.3g} {si}/{rad}, is that with which the model's inertia moves, {moved:.3g}"
     if duty:
@@ -111,7 +111,7 @@ def _damped(samples: Sequence[Sampled], scale: float, zero: float) -> str:
         return ""
     _, frequency, ratio, _ = _orders(samples, scale, zero)[1]
     moved = 2.0 * ratio / frequency
-    if not 1.0 / NEAR < c / k / moved < NEAR:
+    if not 1.0 / SAME_UNIT < c / k / moved < SAME_UNIT:
         return ""
     return (
         f"a straight law of error and speed explains {share:.0%} of it, and damps the joint as it moves: damping over "
@@ -232,7 +232,7 @@ def propose_drive(
             return DriveProposal("pwm_servo", told, values, unit, unit_why)
     first, second = _orders(samples, scale, zero)
     ratio = second[0] / max(first[0], 1e-300)
-    if ratio < BETTER or straight or first[1] > 0.9 * FASTEST:
+    if ratio < BETTER or straight or first[1] > 0.9 * LARGEST_P:
         frequency, damping = second[1], second[2]
         stiffness = inertia * frequency**2
         torque, torque_why = limit, limit_why
@@ -264,7 +264,7 @@ def propose_drive(
         }
         factor = stiffness / k if straight else None
         return DriveProposal("torque_pd", why, values, unit, unit_why, factor=factor)
-    p = min(first[1], 0.95 * FASTEST)
+    p = min(first[1], 0.95 * LARGEST_P)
     torque = limit or max(2.0 * load, 10.0 * inertia, 1e-3)
     values = {
         "p": Proposed(_round(p), "1/s", "of the first order's answer"),
@@ -320,7 +320,7 @@ def _yielding(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float
             data.qpos[int(at.qposadr[0])] = q[row]
             mujoco.mj_forward(mj, data)
             weight[i] = data.qfrc_bias[int(at.dofadr[0])]
-        if len(rows) < FEWEST or np.ptp(weight) == 0.0:
+        if len(rows) < SAMPLES_OF_A_LAW or np.ptp(weight) == 0.0:
             continue
         others = np.column_stack([inertia * a, v, np.sign(v), np.ones_like(v)])[rows]
         columns = np.column_stack([weight, others])

@@ -13,7 +13,7 @@ from labyrinth_sim.trials import Array
 TURN = 2.0 * np.pi
 DEGREES = 4.0 * np.pi  # a reach beyond is hardly rad
 DEGREES_MOST = 400.0
-BEYOND = 2.0  # of a joint's range in the model; a reach beyond is hardly rad
+BEYOND_RANGE = 2.0  # of a joint's range in the model; a reach beyond is hardly rad
 SCALES = {"rad": 1.0, "deg": TURN / 360.0, "m": 1.0, "mm": 1e-3}
 TICKS = "ticks"
 NORMALISED = 100.0  # at either end of what LeRobot makes of a joint's range unless told otherwise
@@ -94,7 +94,7 @@ def _told(slides: bool, bounds: Array | None, seen: Array, sent: Array) -> tuple
             return "mm", f"reaches {reach:.4g}, which is hardly metres"
         return "m", f"reaches {reach:.3g}; ROS has metres"
     doubt = _whole(seen, sent)
-    if 0.0 < BEYOND * far < reach <= np.degrees(far):
+    if 0.0 < BEYOND_RANGE * far < reach <= np.degrees(far):
         return "deg", f"reaches {reach:.4g}, and the model's joint {far:.3g} rad; as degrees it fits{doubt}"
     if reach > DEGREES and reach <= DEGREES_MOST:
         return "deg", f"reaches {reach:.4g}, which is hardly radians{doubt}"

@@ -23,7 +23,7 @@ WORDS = {
 """Quantity -> words by which a column is told to hold it, as part of its name."""
 ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 """name of a column and the place in its lists"""
-SLOWEST, FASTEST = 0.1, 1e5  # Hz, frames of a dataset
+LOWEST_FRAME_RATE, HIGHEST_FRAME_RATE = 0.1, 1e5  # Hz, frames of a dataset
 MOST_FRAMES = 1e8  # of a dataset
 
 
@@ -169,9 +169,10 @@ def lerobot_bags(dataset: Path, folder: Path) -> tuple[list[Path], list[str]]:
         targets = _names(action) if action else []
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{info}: cannot be read ({error!r}). Expected fps and features.observation.state.") from error
-    if not (SLOWEST <= rate <= FASTEST and names and all(names)):
+    if not (LOWEST_FRAME_RATE <= rate <= HIGHEST_FRAME_RATE and names and all(names)):
         raise InputError(
-            f"{info}: {rate:g} frames a second of {names}; expected {SLOWEST:g} to {FASTEST:g} Hz and names."
+            f"{info}: {rate:g} frames a second of {names}; "
+            f"expected {LOWEST_FRAME_RATE:g} to {HIGHEST_FRAME_RATE:g} Hz and names."
         )
     shared = targets == names
     joints = len(names)

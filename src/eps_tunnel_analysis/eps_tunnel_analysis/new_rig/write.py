@@ -33,7 +33,7 @@ from labyrinth_sim.yaml_file import yaml_text
 
 LEAST_ARMATURE = 1e-5  # kg m^2 (kg); a joint with less diverges under any stiff drive
 OFF_GROUP = 30  # MuJoCo's last group of actuators, which robot.xml switches off
-MARGIN = 0.1  # of the recorded range, beyond which the allowed targets lie
+TARGET_MARGIN = 0.1  # of the recorded range, beyond which the allowed targets lie
 GAINS_APART = 0.05  # relative difference of gains that recordings were made with
 
 
@@ -163,7 +163,7 @@ def _axis(
             limits = (min(limits[0], float(low)), max(limits[1], float(high)))
             limits_why += ", widened to what was recorded"
     else:
-        more = MARGIN * max(float(high - low), 1e-6)
+        more = TARGET_MARGIN * max(float(high - low), 1e-6)
         limits = (float(f"{low - more:.3g}"), float(f"{high + more:.3g}"))
         limits_why = "a tenth beyond what was recorded; the model has no range"
     topic = recordings[0].topics[topics.states]

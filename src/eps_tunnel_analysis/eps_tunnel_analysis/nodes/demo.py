@@ -26,7 +26,7 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 from labyrinth_sim.whole_file import write_new
 
-SMALL = 0.01  # probabilities below are not printed
+LEAST_PRINTED = 0.01  # probabilities below are not printed
 ALIKENESS = "Alikeness is the share of time in which it stays inside what {} real trials spanned, k times as wide."
 HIDDEN, NOTHING = "gravity_load.y=medium", "none"
 
@@ -87,7 +87,7 @@ def _title(text: str) -> None:
 
 def _show(reason: Reason) -> None:
     v = reason.diagnosis.verdict
-    rows = [(name, f"{p:.1%}", "*" if name in v.stated else "") for name, p in v.set.items() if p >= SMALL]
+    rows = [(name, f"{p:.1%}", "*" if name in v.stated else "") for name, p in v.set.items() if p >= LEAST_PRINTED]
     table(console(), "Hypotheses", ("hypothesis", "probability", "in the stated set"), rows)
     for line in (v.sentence, *(f"Note: {note}" for note in v.notes)):
         console().print(line, soft_wrap=True, markup=False)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures as files: a report's for papers and slides, and those of a notebook."""
 
+import io
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from eps_tunnel_analysis.compare import JOINTLY, Comparison
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.verdict import Verdict
 from eps_tunnel_analysis.outputs import in_file_name, shown_share, shown_unit
+from labyrinth_sim.errors import InputError
 from labyrinth_sim.whole_file import beside
 
 REAL_COLOUR, SIM_COLOUR, OUTSIDE_COLOUR = "#1f5fd0", "#d9480f", "#d62839"
@@ -27,6 +30,43 @@ STYLE: dict[Any, Any] = {
 }
 PICTURED_HYPOTHESES = 6  # hypotheses
 DPI = 110
+SUFFIXES = (".svg", ".png", ".pdf")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawing as SVG, which a notebook shows, and the figure that it was drawn from, which can be saved."""
+
+    svg: str = field(repr=False)
+    figure: Figure = field(repr=False, compare=False)
+
+    @classmethod
+    def of(cls, figure: Figure) -> "Picture":
+        text = io.StringIO()
+        with mpl.rc_context(STYLE):
+            figure.savefig(text, format="svg", metadata={"Date": None})
+        drawing = text.getvalue()
+        return cls(drawing[drawing.index("<svg") :], figure)  # without the XML declaration, so that it goes into HTML
+
+    def _repr_svg_(self) -> str:
+        return self.svg
+
+    def save(self, path: str | Path) -> Path:
+        """Writes .svg, .png or .pdf; a picture of that name is replaced.
+
+        Raises:
+            InputError: another suffix, or the file cannot be written.
+        """
+        file = Path(path)
+        if file.suffix not in SUFFIXES:
+            raise InputError(f"{file}: expected a name that ends in {', '.join(SUFFIXES)}.")
+        try:
+            with mpl.rc_context(STYLE), beside(file) as partial:
+                self.figure.savefig(partial, dpi=DPI, metadata={"Date": None} if file.suffix == ".svg" else None)
+                partial.replace(file)
+        except OSError as error:
+            raise InputError(f"{file}: cannot be written ({error.strerror}).") from error
+        return file
 
 
 def write_pictures(comparison: Comparison, folder: Path) -> tuple[Path, ...]:

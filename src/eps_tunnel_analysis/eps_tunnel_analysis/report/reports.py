@@ -13,7 +13,8 @@ from eps_tunnel_analysis.check.check import Check
 from eps_tunnel_analysis.compare import JOINTLY, Comparison
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.falls import Three
-from eps_tunnel_analysis.fit.named_intervals import intervals_json, named_intervals
+from eps_tunnel_analysis.diagnose.named_intervals import intervals_json, named_intervals
+from eps_tunnel_analysis.fit.validity import validity_of
 from eps_tunnel_analysis.inputs import Recorded
 from eps_tunnel_analysis.law.proposal import Proposal
 from eps_tunnel_analysis.outputs import circumstances, json_text, plain, shown_share, shown_value, today, versions
@@ -32,7 +33,6 @@ from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.next_step import MODEL_FILE, next_commands, next_step
 from eps_tunnel_analysis.report.page import Block, Chart, Line, Points, Section, Table, render
 from eps_tunnel_analysis.report.pictures import last_model, write_pictures
-from eps_tunnel_analysis.values.validity import validity_of
 from labyrinth_sim.model import Model, save_model
 
 SECTIONS: tuple[Callable[[Comparison], Section], ...] = (summary, tunnels, over_k, where_it_fails, errors)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from eps_tunnel_analysis.outputs import shown_share, shown_unit
 from eps_tunnel_analysis.report.pictures import REAL_COLOUR, STYLE
-from eps_tunnel_analysis.values.dates import DateOfRig
+from eps_tunnel_analysis.values.changes import DateOfRig
 from eps_tunnel_analysis.values.sweep import Sweep, SweptValue
 from labyrinth_sim.trials import Array
 

@@ -4,6 +4,8 @@
 The model is fitted to what was recorded then, and stays so. What is recorded now may differ by few values or effects,
 as wear does it, and sets of them are ranked as a diagnosis ranks what is missing. Where the same command was played on
 both dates, what the model missed then is taken off what it misses now: a form that is wrong on both is no change.
+
+Over many dates: how alike the model of the first one is, and what became of some of its values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from eps_tunnel_analysis.alikeness import KS, joint_against_itself
+from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.diagnose.axis import ROUNDS, near_hypotheses, refitted_sets
 from eps_tunnel_analysis.diagnose.axis_search import (
     AxisPart,
@@ -29,7 +33,7 @@ from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import decide, in_words, percent, undecided
 from eps_tunnel_analysis.fit.intervals import intervals
 from eps_tunnel_analysis.outputs import plain, shown_value
-from eps_tunnel_analysis.simulated import Play, same_commands
+from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out, same_commands
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
@@ -276,8 +280,7 @@ def _value_candidates(model: Model, part: AxisPart) -> list[Candidate]:
         if name.startswith("drive."):
             owner, _, short = name.rpartition(".")
             p = next(p for p in model.drives[part.name].kind.parameters if p.name == short)
-            span = infos[name].high - infos[name].low
-            step = max(STEP_OF_A_VALUE * abs(infos[name].value), STEP_OF_ITS_SPAN * span)
+            step = max(STEP_OF_A_VALUE * abs(infos[name].value), STEP_OF_ITS_SPAN * infos[name].span)
             moved = _moved(p, infos[name].value, infos[name].low, infos[name].high, step)
             found.append(Candidate(_value_as_effect(owner, moved), short, (part.name,), (name,)))
     for use in model.effects:
@@ -472,3 +475,76 @@ def _in_words(name: str, model: Model) -> str:
     if name.startswith("drive."):
         return name
     return in_words(name, model.registry)
+
+
+@dataclass(frozen=True)
+class DateOfRig:
+    """One date.
+
+    Attributes:
+        label: as the person named it.
+        alikeness: k -> share of all seen samples alike in every signal, of the model of the first date.
+        itself: k -> what the rig reached against itself on this date, jointly; NaN with too few trials.
+        values: what the watched values are, given that nothing else changed; of the first date none.
+    """
+
+    label: str
+    alikeness: Mapping[float, float]
+    itself: Mapping[float, float]
+    values: tuple[ValueChange, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dicts, lists, numbers and words; SI units."""
+        found: dict[str, Any] = plain(
+            {
+                "label": self.label,
+                "alikeness": [
+                    {"k": k, "joint": share, "rig_against_itself": self.itself[k]}
+                    for k, share in self.alikeness.items()
+                ],
+                "values": [asdict(v) for v in self.values],
+            }
+        )
+        return found
+
+
+def over_dates(
+    model: Model,
+    dates: Mapping[str, Sequence[Play]],
+    watched: Sequence[str],
+    ks: Sequence[float] = KS,
+    run: SearchOptions | None = None,
+) -> tuple[DateOfRig, ...]:
+    """Alikeness and watched values on each date.
+
+    Args:
+        model: fitted to the first date.
+        dates: label -> what was recorded, the first one first.
+        watched: values and effects, as `Changes.named`.
+    """
+    first = next(iter(dates.values()))
+    found = []
+    for label, plays in dates.items():
+        values = refitted(model, first, plays, watched, run) if watched and plays is not first else ()
+        found.append(DateOfRig(label, _alikeness(model, plays, ks), _itself(model, plays, ks), values))
+    return tuple(found)
+
+
+def _itself(model: Model, plays: Sequence[Play], ks: Sequence[float]) -> dict[float, float]:
+    names = compared_signals(model, [play.trials for play in plays])
+    return joint_against_itself([play.trials.select(names) for play in plays], sorted(ks))
+
+
+def _alikeness(model: Model, plays: Sequence[Play], ks: Sequence[float]) -> dict[float, float]:
+    names = compared_signals(model, [play.trials for play in plays])
+    alike, seen = dict.fromkeys(sorted(ks), 0.0), 0.0
+    for play in plays:
+        real = play.trials.select(names)
+        try:
+            comparison = compare(real, roll_out(model, play), ks, signals=names)
+        except Diverged:
+            continue
+        seen += float(comparison.alikeness[0].seen.all(axis=1).sum())
+        for a in comparison.alikeness:
+            alike[a.k_real] += float(a.alike.all(axis=1).sum())
+    return {k: count / max(seen, 1.0) for k, count in alike.items()}

@@ -15,8 +15,7 @@ import numpy as np
 from scipy.stats import norm
 
 from eps_tunnel_analysis.diagnose.evidence import play_evidence
-from eps_tunnel_analysis.diagnose.experiment import RATE, STEP, STOP
-from eps_tunnel_analysis.diagnose.menu import menu
+from eps_tunnel_analysis.diagnose.experiment import RATE, STEP, STOP, menu
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import moved
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, free_parameters
@@ -136,8 +135,7 @@ def value_experiment(
     return ValueExperiment(
         command,
         tuple(
-            NarrowedValue(n, (i := infos[n]).unit, i.value, (i.high - i.low) * (b if plays else math.nan),
-                          (i.high - i.low) * a)
+            NarrowedValue(n, (i := infos[n]).unit, i.value, i.span * (b if plays else math.nan), i.span * a)
             for n, b, a in zip(names, before.tolist(), after.tolist(), strict=True)
         ),
         pieces,
@@ -145,7 +143,7 @@ def value_experiment(
 
 
 def information(model: Model, names: Sequence[str], plays: Sequence[Play], nthread: int = 0) -> Array:
-    """(k, k) Fisher information of recorded plays on values, each in shares of its bounds' span."""
+    """(k, k) Fisher information of recorded plays on values, each in shares of its span."""
     noise = _noise(model, plays)
     runs = rollouts(model, plays)
     points, steps, _ = _points(model, names)
@@ -174,9 +172,10 @@ def _command_information(
 def _points(model: Model, names: Sequence[str]) -> tuple[Array, Array, Array]:
     """(1 + k, k) values, the model's own first, (k,) normalised steps, (k,) spans."""
     infos = model.parameters()
-    low, span = (np.array(v) for v in zip(*((i.low, i.high - i.low) for i in map(infos.get, names) if i), strict=True))
-    z = np.clip((np.array([infos[n].value for n in names]) - low) / span, 0.0, 1.0)
-    points, steps = moved(z, DIFFERENCE)
+    own = [infos[n] for n in names]
+    low, width, span, value = np.array([(i.low, i.high - i.low, i.span, i.value) for i in own]).T
+    z = np.clip((value - low) / span, 0.0, width / span)
+    points, steps = moved(z, DIFFERENCE, width=width / span)
     return low + np.vstack([z, points]) * span, steps, span
 
 

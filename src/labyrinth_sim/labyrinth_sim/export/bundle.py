@@ -2,7 +2,6 @@
 """Functions of effects and drives, with all of ours that they use, as text that needs numpy and mujoco only."""
 
 import ast
-import builtins
 import inspect
 import sys
 from collections.abc import Callable
@@ -125,9 +124,6 @@ class _Renamed(ast.NodeTransformer):
     def visit_Name(self, node: ast.Name) -> ast.AST:
         name = node.id
         if any(name in known for known in self._locals) or name not in self._top:
-            if not (any(name in known for known in self._locals) or hasattr(builtins, name)):
-                # A name of a class's body, or of a comprehension.
-                return node
             return node
         home = self._top[name]
         if isinstance(home, ast.Import):
