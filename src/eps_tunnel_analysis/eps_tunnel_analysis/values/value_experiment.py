@@ -33,7 +33,7 @@ SECONDS = 12.0  # of motion, unless asked otherwise
 BLOCK = 2.0  # s, of the parts into which a command of the menu is cut: so long, or one shape more
 BACK = 0.4  # s to return to rest after a command that ends elsewhere
 DIFFERENCE = 1e-3  # of the finite differences, normalised
-PRIOR = 1.0  # deviation, in shares of the bounds' span, that is known of a value without any recording
+PRIOR = 1.0  # deviation, in shares of its span, that is known of a value without any recording
 NOISE = 3e-4  # rad or m, of a sensor of which nothing is known
 
 
@@ -238,7 +238,7 @@ def _gain(known: Array, more: Array) -> float:
 
 
 def _half_widths(known: Array) -> Array:
-    """(k,) of the 95 % intervals, in shares of the bounds' span."""
+    """(k,) of the 95 % intervals, in shares of their spans."""
     covariance = np.linalg.inv(known + np.eye(len(known)) / PRIOR**2)
     return np.asarray(norm.ppf(0.975) * np.sqrt(np.diag(covariance)))
 
