@@ -2,6 +2,8 @@
 """Evidence and refits on short plays of the labyrinth: laws that need roll-outs."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -9,11 +11,21 @@ from fit_cases import FREE, made_by, plays, start, step
 from fit_cases import TRUTH as SLOW
 
 from eps_tunnel_analysis.diagnose import evidence as evidence_module
-from eps_tunnel_analysis.diagnose.axis import nested_refits, next_refits, refined, rival_refits, stated_jobs
+from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
+from eps_tunnel_analysis.diagnose.axes import with_refits
+from eps_tunnel_analysis.diagnose.axis import (
+    AxisDiagnosis,
+    nested_refits,
+    next_refits,
+    refined,
+    rival_refits,
+    stated_jobs,
+)
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
+from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.search import Job, Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
@@ -288,6 +300,57 @@ def test_in_the_end_values_make_up_for_the_steps_that_the_model_makes(search: Se
     assert last < 0.2 * first
     assert search.levels["own"].shortest == pytest.approx(0.002, rel=0.2)
     assert not search.levels["own"].extrapolate
+
+
+def test_values_of_another_valley_count_where_it_fits_as_well(
+    recorded: list[Play], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = start().with_values(TRUTH)
+    search = part_search(model, recorded)
+    here = search.judged([((), search.start)], 8)[0]
+    p, delay = (search.library.names.index(f"drive.x.{name}") for name in ("p", "delay"))
+
+    def elsewhere(column: int, by: float, times: float) -> Refit:
+        values = here.values.copy()
+        values[column] += by
+        return replace(here, values=values, cost=times * here.cost, held=0.0)
+
+    lower, worse = elsewhere(p, 3.0, 1.0 - 1e-4), elsewhere(delay, 0.015, 3.0)
+    monkeypatch.setattr(search, "as_run", lambda _: here)
+    monkeypatch.setattr(search, "refit", lambda *_, **__: [worse, lower])
+    monkeypatch.setattr(intervals_module, "_half_widths", lambda _, refit, columns: np.full(len(columns), 1e-4))
+    assert search.valleys(here) == (lower, here, worse)
+    axis = cast(AxisDiagnosis, SimpleNamespace(search=search, part=search, acting=lambda _: here))
+    final = with_refits(model, [axis], (), final=True)
+    assert final.values()["drive.x.p"] == pytest.approx(lower.values[p])
+    found = named_intervals([axis], (), final)
+    assert found["drive.x.p"][0] < here.values[p] and lower.values[p] < found["drive.x.p"][1]
+    assert found["drive.x.p"][1] < lower.values[p] + 0.1
+    assert found["drive.x.delay"][1] < worse.values[delay] - 0.01
+
+
+def test_other_valleys_are_looked_for_far_away_within_the_bounds(recorded: list[Play]) -> None:
+    search = part_search(start().with_values(TRUTH), recorded)
+    here = search.judged([((), search.start)], 8)[0]
+    found = search.valleys(here)
+    assert len(found) == 5 and search.valleys(here) is found
+    assert all((search.low <= r.values).all() and (r.values <= search.high).all() for r in found)
+    assert sorted(r.objective for r in found) == [r.objective for r in found]
+
+
+def test_a_value_that_moves_nothing_may_be_anything(recorded: list[Play], monkeypatch: pytest.MonkeyPatch) -> None:
+    model = start().with_values(TRUTH)
+    search = part_search(model, recorded)
+    here = search.judged([((), search.start)], 8)[0]
+    column = search.fitted(here).index(search.library.names.index("drive.x.d"))
+    slopes = 1e3 * np.random.default_rng(0).standard_normal(search.jacobian(here).shape)
+    slopes[:, column] = 0.0
+    monkeypatch.setattr(search, "valleys", lambda _: (here,))
+    monkeypatch.setattr(search, "jacobian", lambda _: slopes)
+    found = named_intervals([cast(AxisDiagnosis, SimpleNamespace(search=search, acting=lambda _: here))], (), model)
+    info = model.parameters()["drive.x.d"]
+    assert found["drive.x.d"] == (info.low, info.high)
+    assert np.ptp(found["drive.x.p"]) < 0.1
 
 
 def test_where_the_best_needs_shorter_steps_what_is_near_it_is_judged_anew(

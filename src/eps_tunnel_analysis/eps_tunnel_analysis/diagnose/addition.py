@@ -143,7 +143,7 @@ def addition_of(
     if chosen == set(v.effects):
         final, after, last = diagnosis.model, v.ball[2] if rolls else v.after, v.plays[2]
     else:
-        final = with_refits(diagnosis.base_model, axes, chosen)
+        final = with_refits(diagnosis.base_model, axes, chosen, final=True)
         near, far = (compared(final, p if v.ball else [without_ball(q) for q in p]) for p in (plays, held))
         after = errors_of(near, far, None if rolls else left_out_error(on_axes, chosen), unit)
         (last,) = play_errors(plays, held, [near], [far], diagnosis.model.rig.position_unit)

@@ -46,10 +46,15 @@ def together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
     return joint([(axis.even if named else axis.ranking).probabilities for axis in axes])
 
 
-def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[str]) -> Model:
-    """A model with these effects where they act, and with each axis's values fitted together with its own."""
+def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[str], final: bool = False) -> Model:
+    """A model with these effects where they act, and with each axis's values fitted together with its own.
+
+    Args:
+        final: look for values in other valleys of the misfit as well.
+    """
     for axis in axes:
-        refit, library = axis.search.as_run(axis.acting(named)), axis.search.library
+        search, library, refit = axis.search, axis.search.library, axis.acting(named)
+        refit = search.valleys(refit)[0] if final else search.as_run(refit)
         values = dict(zip(library.names, (float(v) for v in refit.values), strict=True))
         for name in refit.effects:
             candidate = library.find(name)

@@ -83,8 +83,8 @@ def diagnose(
     kind, named, stated = decide(probabilities, SETTINGS.coverage)
     missing = {c.name: axis.base.cost for axis in axes for c in axis.search.library.candidates}
     named = tuple(sorted(named, key=lambda name: -missing[name]))
-    base_model = with_refits(model, axes, ())
-    final = with_refits(model, axes, named) if named else base_model
+    final = with_refits(model, axes, named, final=True)
+    base_model = with_refits(model, axes, ()) if named else final
 
     # How far each is from the recordings.
     shown, kept = (plays, held) if rolls else (alone, [without_ball(p) for p in held])

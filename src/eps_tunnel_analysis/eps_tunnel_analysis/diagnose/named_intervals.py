@@ -3,7 +3,8 @@
 
 They have the parts that a calibration's have: noise that remembers, the pose in which a play starts, and, where more
 than noise is left, what another missing effect would have shifted. And they hold the step that the slopes still
-promise, for a search ends where it gains little. Of another valley of the misfit, slopes tell nothing.
+promise, for a search ends where it gains little. Slopes say nothing of another valley of the misfit; one whose values
+fit as well within chance is in the interval, too.
 """
 
 import copy
@@ -13,12 +14,15 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.base_values import sensed_joints
+from eps_tunnel_analysis.diagnose.rank import independent
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.discrepancy import shifts_of
-from eps_tunnel_analysis.fit.intervals import intervals, widened
+from eps_tunnel_analysis.fit.intervals import CHI2_95, intervals, widened
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
+
+UNMOVED = 1e-9  # times the largest slope, below which a value moves nothing
 
 
 def named_intervals(
@@ -38,13 +42,16 @@ def named_intervals(
     for axis in axes:
         search = copy.copy(axis.search)
         search.progress = None  # who showed it is done
-        refit = axis.acting(named)
-        columns = search.fitted(refit)
-        half = _half_widths(search, refit, columns) * search.spans[columns]
-        for column, width in zip(columns, half.tolist(), strict=True):
+        best, *others = search.valleys(axis.acting(named))
+        columns = search.fitted(best)
+        half = _half_widths(search, best, columns) * search.spans[columns]
+        chance = CHI2_95 / max(independent(best.residuals, search.blocks), 1.0) * best.cost
+        alike = [best.values, *(r.values for r in others if r.objective <= best.objective + chance)]
+        lowest, highest = np.min(alike, axis=0)[columns], np.max(alike, axis=0)[columns]
+        for column, width, least, most in zip(columns, half, lowest, highest, strict=True):
             name = search.library.names[column]
-            low, high = infos[name].low, infos[name].high
-            found[name] = (max(values[name] - width, low), min(values[name] + width, high))
+            low, high = min(values[name], float(least)) - width, max(values[name], float(most)) + width
+            found[name] = (max(low, infos[name].low), min(high, infos[name].high))
     return found
 
 
@@ -54,7 +61,9 @@ def intervals_json(found: Mapping[str, tuple[float, float]]) -> dict[str, list[f
 
 
 def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
-    """(k,) of the 95 % intervals of what a refit fits, in shares of their spans; NaN where a slope diverges."""
+    """(k,) of the 95 % intervals of what a refit fits, in shares of their spans; NaN where a slope diverges,
+    inf of a value that moves nothing.
+    """
     if not columns:
         return np.zeros(0)
     slopes, firm = search.jacobian(refit), search.firmness[list(columns)]
@@ -67,7 +76,9 @@ def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
     step = inverse @ np.concatenate([refit.residuals, off])
     inverse = inverse[:, : len(slopes)]
     more = np.hypot(_by_start(search, refit, inverse), _by_effects(search, refit, slopes, inverse))
-    return widened(found, np.hypot(more, step)).half_width
+    half = widened(found, np.hypot(more, step)).half_width
+    size = np.hypot(np.linalg.norm(slopes, axis=0), firm)
+    return np.where(size > UNMOVED * size.max(), half, np.inf)
 
 
 def _by_start(search: Search, refit: Refit, inverse: Array) -> Array:

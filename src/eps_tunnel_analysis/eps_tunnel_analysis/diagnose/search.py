@@ -36,6 +36,8 @@ LEAST_JUDGED = 2
 OUT_OF_REACH = 5.0  # times the best cost: no exact step brings that down
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
 OWN_ROUNDS = 4  # of descent at the model's own steps, in the end
+VALLEY_ROUNDS = 10  # of descents from further away
+AWAY = (0.4, 0.8)  # spans from where a refit ended that other valleys are looked for, along what it determines least
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to be descended
@@ -165,6 +167,7 @@ class Search:
         self.difference[base] = np.minimum(difference, 0.1 * self._spread / span)
         driven = {name.split(".")[1] for name in library.base if name.startswith("drive.")}
         self._finest = FINEST * max(1, len(driven))
+        self._valleys: dict[tuple[tuple[str, ...], bytes], tuple[Refit, ...]] = {}
         self._idle = np.zeros(len(self.start), dtype=bool)  # base values that the recordings do not feel
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
@@ -409,6 +412,32 @@ class Search:
         if "own" not in self.levels:
             return refit
         return self.refit([(self._candidates(refit), refit.values)], OWN_ROUNDS, "own")[0]
+
+    def valleys(self, refit: Refit) -> tuple[Refit, ...]:
+        """A refit as it runs elsewhere, and those of the same effects in other valleys of the misfit, best first.
+
+        Values that stand in for one another, as P, D and delay do, may fit as well far from where a descent ended.
+        """
+        key = (refit.effects, refit.values.tobytes())
+        if key not in self._valleys:
+            here, starts = self.as_run(refit), self._along_weakest(refit)
+            beyond = [(self._candidates(refit), point) for point in starts] if "own" in self.levels else []
+            found = [here, *self.refit(beyond, VALLEY_ROUNDS, "own")]
+            self._valleys[key] = tuple(sorted(found, key=lambda r: r.objective))
+        return self._valleys[key]
+
+    def _along_weakest(self, refit: Refit) -> list[Array]:
+        """(K,) values to either side of a refit's along the direction of the drive that it determines least."""
+        columns = self.fitted(refit)[: len(self.library.base) - self.library.rough]
+        slopes = self.jacobian(refit)[:, : len(columns)]
+        if len(columns) < 2 or not np.isfinite(slopes).all():
+            return []
+        weakest = np.linalg.svd(slopes, full_matrices=False)[2][-1]
+        points = np.tile(refit.values, (2 * len(AWAY), 1))
+        points[:, columns] += np.outer(
+            [sign * by for by in AWAY for sign in (1.0, -1.0)], weakest * self.spans[columns]
+        )
+        return list(np.clip(points, self.low, self.high))
 
     def _rough(self, refits: Sequence[Refit]) -> list[bool]:
         """Which of the refits the coarse step gets wrong: a torque that saturates soon, say."""

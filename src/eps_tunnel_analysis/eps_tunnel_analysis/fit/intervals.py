@@ -15,6 +15,7 @@ from scipy.stats import norm
 
 from labyrinth_sim.trials import Array
 
+CHI2_95 = 3.84  # quantile of chi-squared with one degree of freedom
 TRADE_OFF = 0.97  # correlation of two values from which they are told together: a quarter of either one's width is left
 
 

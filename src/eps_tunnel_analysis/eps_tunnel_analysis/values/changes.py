@@ -31,7 +31,7 @@ from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, indepen
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import decide, in_words, percent, undecided
-from eps_tunnel_analysis.fit.intervals import intervals
+from eps_tunnel_analysis.fit.intervals import CHI2_95, intervals
 from eps_tunnel_analysis.outputs import plain, shown_value
 from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out, same_commands
 from labyrinth_sim.effect import Effect, Parameter
@@ -43,7 +43,6 @@ STEP_OF_A_VALUE = 0.3  # of a value: the strength around which changes of it are
 STEP_OF_ITS_SPAN = 0.05  # of its bounds' span, where that is more
 PROFILED = (1e-3, 0.5)  # of a value's span, to either side, in
 PROFILE_POINTS = 14
-CHI2_95 = 3.84  # quantile of chi-squared with one degree of freedom
 #: Share of the noise floor to which differences of the same command on two dates are held before something is said to
 #: have changed: a diagnosis leaves room for forms that are nobody's exactly, and they are gone with the difference.
 #: Measured: an unchanged rig leaves 0.5 to 0.7 floors, and this puts the limit at 0.9.
