@@ -13,14 +13,22 @@ from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_re
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import UNREPEATED, Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
-from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Job, Refit, Search, TrialPoint, best_by_set
+from eps_tunnel_analysis.diagnose.search import (
+    FEW_STARTS,
+    SHORTLIST,
+    STRAINED,
+    Job,
+    Refit,
+    Search,
+    TrialPoint,
+    best_by_set,
+)
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
-STRAINED = 1.0  # sum of squares, of deviations from what is stated, from which a base strays
 STATED_SHORTLIST = 10  # effects fitted beside a base as stated, and
 STATED_KEPT = 3  # how many of them go on with all values free
 REBASED = 1  # refits whose base values are sought anew, each from
@@ -108,7 +116,7 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     size = len(search.library.base)
     jobs: list[Job] = []
     for refit in refits[:REBASED] if size else ():
-        points = base_starts(search, refit.values, REBASE_STARTS)[1:]
+        points = base_starts(search, refit.values, REBASE_STARTS)[1:] + search.beside_stated([refit], ROUNDS)
         jobs += [(tuple(search.library.find(n) for n in refit.effects), point) for point in points]
     again = best_by_set([*refits, *(search.best_of(jobs, ROUNDS) if jobs else [])])
     near = [r for r in again[1:] if size and r.cost < NEAR_BEST * again[0].cost]

@@ -22,6 +22,8 @@ from eps_tunnel_analysis.fit.intervals import CHI2_95, intervals, widened
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
+PROFILED = (1e-3, 0.5)  # of a value's span, to either side, in
+PROFILE_POINTS = 14
 UNMOVED = 1e-9  # times the largest slope, below which a value moves nothing
 
 
@@ -45,8 +47,10 @@ def named_intervals(
         best, *others = search.valleys(axis.acting(named))
         columns = search.fitted(best)
         half = _half_widths(search, best, columns) * search.spans[columns]
-        chance = CHI2_95 / max(independent(best.residuals, search.blocks), 1.0) * best.cost
-        alike = [best.values, *(r.values for r in others if r.objective <= best.objective + chance)]
+        own = [columns.index(i) for name in best.effects for i in search.columns(search.library.find(name))]
+        half[own] = np.maximum(half[own], [profile(search, best, columns[i]) for i in own])
+        limit = best.objective + chance(search, best)
+        alike = [best.values, *(r.values for r in others if r.objective <= limit)]
         lowest, highest = np.min(alike, axis=0)[columns], np.max(alike, axis=0)[columns]
         for column, width, least, most in zip(columns, half, lowest, highest, strict=True):
             name = search.library.names[column]
@@ -58,6 +62,39 @@ def named_intervals(
 def intervals_json(found: Mapping[str, tuple[float, float]]) -> dict[str, list[float]]:
     """Name -> [low, high]."""
     return {name: [low, high] for name, (low, high) in found.items()}
+
+
+def profile(search: Search, refit: Refit, column: int) -> float:
+    """Half-width of the 95 % interval of one value by its likelihood: slack, limits and friction have kinks, no slope.
+
+    How far to either side the misfit stays within what chance makes of it, for as many samples as are independent.
+    """
+    away = search.spans[column] * np.geomspace(*PROFILED, PROFILE_POINTS)
+    points = np.tile(refit.values, (2 * len(away), 1))
+    low, high = search.low[column], search.high[column]
+    points[:, column] = np.clip(refit.values[column] + np.concatenate([away, -away]), low, high)
+    search.settle_at(refit)
+    cost = np.nan_to_num(np.mean(search.residuals(points) ** 2, axis=1), nan=np.inf).reshape(2, -1)
+    limit = refit.cost + chance(search, refit)
+    widest = 0.0
+    for side in cost:
+        within = np.flatnonzero(side <= limit)
+        if not len(within):
+            widest = max(widest, float(away[0]))
+            continue
+        last = int(within[-1])
+        if last + 1 == len(away):
+            widest = max(widest, float(away[-1]))
+            continue
+        here, beyond = max(side[last], refit.cost), side[last + 1]
+        share = (limit - here) / (beyond - here) if np.isfinite(beyond) and beyond > here else 0.0
+        widest = max(widest, float(away[last] + share * (away[last + 1] - away[last])))
+    return widest
+
+
+def chance(search: Search, refit: Refit) -> float:
+    """By how much a mean square may lie above the least by chance, with 95 %."""
+    return CHI2_95 / max(independent(refit.residuals, search.blocks), 1.0) * refit.cost
 
 
 def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:

@@ -43,6 +43,7 @@ HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to be descended
 STANDS = 0.1  # floors by which half the step may change an answer that stands
 UNFELT = 0.02  # floors
+STRAINED = 1.0  # sum of squares, of deviations from what is stated, from which a base strays
 FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
 SURELY = 2.0  # deviations by which ticks must agree
 MOST_AGREED = 0.9
@@ -315,6 +316,21 @@ class Search:
         other._idle = self._idle | (self.firmness > 0.0)
         return other
 
+    def beside_stated(self, refits: Sequence[Refit], rounds: int, level: Level = "coarse") -> list[Array]:
+        """(K,) values of those refits whose base strays from what the model states, fitted anew from there and held
+        there where an expectation is stated.
+        """
+        size = len(self.library.base)
+        jobs = [
+            (self._candidates(r), np.concatenate([self.start[:size], r.values[size:]]))
+            for r in refits
+            if self.strain(r.values) >= STRAINED
+        ]
+        firm = self.as_stated()
+        found = firm.refit(jobs, rounds, level)
+        self.evaluations = firm.evaluations
+        return [r.values for r in found]
+
     def columns(self, candidate: Candidate) -> list[int]:
         """Where the library's values hold a candidate's."""
         return [self._column[name] for name in candidate.parameters]
@@ -421,8 +437,10 @@ class Search:
         key = (refit.effects, refit.values.tobytes())
         if key not in self._valleys:
             here, starts = self.as_run(refit), self._along_weakest(refit)
-            beyond = [(self._candidates(refit), point) for point in starts] if "own" in self.levels else []
-            found = [here, *self.refit(beyond, VALLEY_ROUNDS, "own")]
+            found = [here]
+            if "own" in self.levels:
+                starts += self.beside_stated([refit], VALLEY_ROUNDS, "own")
+                found += self.refit([(self._candidates(refit), point) for point in starts], VALLEY_ROUNDS, "own")
             self._valleys[key] = tuple(sorted(found, key=lambda r: r.objective))
         return self._valleys[key]
 

@@ -27,11 +27,12 @@ from eps_tunnel_analysis.diagnose.axis_search import (
 from eps_tunnel_analysis.diagnose.ball import without_ball
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
+from eps_tunnel_analysis.diagnose.named_intervals import profile
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, independent, joint, rank
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import decide, in_words, percent, undecided
-from eps_tunnel_analysis.fit.intervals import CHI2_95, intervals
+from eps_tunnel_analysis.fit.intervals import intervals
 from eps_tunnel_analysis.outputs import plain, shown_value
 from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out, same_commands
 from labyrinth_sim.effect import Effect, Parameter
@@ -41,8 +42,6 @@ from labyrinth_sim.model import Model
 MOST_CHANGES = 2  # on one axis
 STEP_OF_A_VALUE = 0.3  # of a value: the strength around which changes of it are tried, or
 STEP_OF_ITS_SPAN = 0.05  # of its bounds' span, where that is more
-PROFILED = (1e-3, 0.5)  # of a value's span, to either side, in
-PROFILE_POINTS = 14
 #: Share of the noise floor to which differences of the same command on two dates are held before something is said to
 #: have changed: a diagnosis leaves room for forms that are nobody's exactly, and they are gone with the difference.
 #: Measured: an unchanged rig leaves 0.5 to 0.7 floors, and this puts the limit at 0.9.
@@ -416,7 +415,7 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
         return []
     columns = search.fitted(refit)
     found = intervals(search.jacobian(refit), refit.residuals, search.blocks.astype(float))
-    half = np.maximum(found.half_width * search.spans[columns], [_profile(search, refit, column) for column in columns])
+    half = np.maximum(found.half_width * search.spans[columns], [profile(search, refit, column) for column in columns])
     units = {name: info.unit for name, info in search.library.model.parameters().items()}
     owner = {p: c for c in map(search.library.find, refit.effects) for p in c.parameters}
     present = model.values()
@@ -431,38 +430,6 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
             ValueChange(name, units[name], float(before), float(refit.values[column]), float(width), owner[name].name)
         )
     return changed
-
-
-def _profile(search: Search, refit: Refit, column: int) -> float:
-    """Half-width of the 95 % interval of one value by its likelihood: slack and friction have kinks, and no slope.
-
-    How far to either side the misfit stays within what chance makes of it, for as many samples as are independent.
-    """
-    away = search.spans[column] * np.geomspace(*PROFILED, PROFILE_POINTS)
-    points = np.tile(refit.values, (2 * len(away), 1))
-    points[:, column] = np.clip(refit.values[column] + np.concatenate([away, -away]), *_box(search, column))
-    search.settle_at(refit)
-    cost = np.nan_to_num(np.mean(search.residuals(points) ** 2, axis=1), nan=np.inf).reshape(2, -1)
-    worth = max(independent(refit.residuals, search.blocks), 1.0)
-    limit = refit.cost * (1.0 + CHI2_95 / worth)
-    widest = 0.0
-    for side in cost:
-        within = np.flatnonzero(side <= limit)
-        if not len(within):
-            widest = max(widest, float(away[0]))
-            continue
-        last = int(within[-1])
-        if last + 1 == len(away):
-            widest = max(widest, float(away[-1]))
-            continue
-        low, high = max(side[last], refit.cost), side[last + 1]
-        share = (limit - low) / (high - low) if np.isfinite(high) and high > low else 0.0
-        widest = max(widest, float(away[last] + share * (away[last + 1] - away[last])))
-    return widest
-
-
-def _box(search: Search, column: int) -> tuple[float, float]:
-    return float(search.low[column]), float(search.high[column])
 
 
 def _in_words(name: str, model: Model) -> str:
