@@ -215,7 +215,7 @@ def test_a_rig_that_fails_is_written_down(tmp_path: Path) -> None:
             ["gain_error.y", "backlash.x"],
             "complete",
             ["none"],
-            "It was found; named besides: gain error",
+            "It was found; also named: gain error",
         ),
         ("x", True, ["backlash.x"], "undecided", ["none", "gain_error.y"], "It was found; whether that is all"),
         ("x", True, [], "undecided", ["backlash.x + gain_error.y", "unknown"], "It was found; whether that is all"),

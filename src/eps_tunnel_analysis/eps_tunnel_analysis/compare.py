@@ -162,9 +162,9 @@ def compare(
     if smoothed:
         real_tunnel, sim_tunnel = smooth(real_tunnel), smooth(sim_tunnel)
     if real.count == 1:
-        notes += ("One real trial only: its tunnel has no width, so what the rig itself repeats cannot be known.",)
+        notes += ("Only one real trial: its tunnel has no width, so the rig's repeatability is not known.",)
     elif real.count < LEAST_TRIALS:
-        notes += ("Two real trials only: how alike the rig is to itself takes three trials; five are better.",)
+        notes += ("Only two real trials: the rig's alikeness to itself needs three trials; five are better.",)
     return Comparison(
         real=real,
         sim=sim,

@@ -457,11 +457,11 @@ def unstated_notes(model: Model) -> tuple[str, ...]:
     defaults = [
         f"{info.name} {shown_number(info.value, 4)} {info.unit}".removesuffix(" 1") for info in model.unstated()
     ]
-    return (f"Model '{model.name}' does not state, so defaults hold: {', '.join(defaults)}.",) if defaults else ()
+    return (f"Not stated by model '{model.name}', so defaults apply: {', '.join(defaults)}.",) if defaults else ()
 
 
 def with_effort_scales(model: Model, plays: Sequence[Play]) -> tuple[Model, tuple[str, ...]]:
-    """The model with a first guess for each factor of an effort that nobody states, and a sentence on each.
+    """The model with a first guess for each effort factor that is not stated, and a sentence on each.
 
     The factor is that of the least squares between the effort that the model gives under the recorded commands and the
     one that was recorded; a fit goes on from there.
@@ -487,8 +487,11 @@ def with_effort_scales(model: Model, plays: Sequence[Play]) -> tuple[Model, tupl
     infos = guessed.parameters()
     notes = tuple(
         f"{name} is not stated: {shown_number(value)} {infos[name].unit} guessed from the recordings. State it in "
-        "the rig file where you know it."
-        + (" It is negative: turn the effort's sign round, or add what takes the effort, as friction." * (value < 0))
+        "the rig file if you know it."
+        + (
+            " It is negative: reverse the effort's sign, or add what uses up the effort, such as friction."
+            * (value < 0)
+        )
         for name, value in found.items()
     )
     return guessed, notes

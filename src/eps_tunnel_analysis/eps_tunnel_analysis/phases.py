@@ -21,7 +21,7 @@ SAME_POSE = 0.01  # share of the command's range within which two poses count as
 
 MEANING = {
     "moving": f"the command moves, or moved less than {SETTLE:g} s ago",
-    "reversal": f"the first {REVERSAL:g} s after the command turned round without a pause",
+    "reversal": f"the first {REVERSAL:g} s after the command reversed without a pause",
     "hold": "the command stands still away from where it started",
     "rest": "the command stands still where it started",
     "no command": "none was sent yet, or the drive was off",

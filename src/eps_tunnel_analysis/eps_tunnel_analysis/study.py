@@ -78,7 +78,7 @@ def load(
             {"*kp_100*": {"drive.pendulum.kp": 100.0}}.
         held_out: bags that are never fitted, only judged.
         candidates: names of the effects that a diagnosis considers; by default all.
-        effects: folder with effect files of your own.
+        effects: folder with your own effect files.
         rig: name or file; by default the model's, or what the bags offer.
         signals: by default every position.
         rate: Hz of the common grid; by default the rig's, 100 without one.

@@ -132,7 +132,7 @@ def print_calibration(result: "CalibrationResult", notes: Sequence[str], out: Co
             for p in result.plays[:LISTED]
         ]
         count = len(result.plays)
-        some = f", those that fared worst, {LISTED} of {count}" if count > LISTED else ""
+        some = f", the worst {LISTED} of {count}" if count > LISTED else ""
         table(
             out, f"Error of each recording{some}", ("recording", "", "E before", "E after", "change"), by_play, left=2
         )

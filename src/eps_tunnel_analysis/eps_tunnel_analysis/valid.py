@@ -51,12 +51,12 @@ def beyond(model: Model, real: Trials, sim: Trials) -> tuple[str, ...]:
         said = []
         if here.low < shown.low - room or here.high > shown.high + room:
             low, high, from_, to = (shown_value(v, here.unit) for v in (here.low, here.high, shown.low, shown.high))
-            said.append(f"goes from {low} to {high}, shown from {from_} to {to}")
+            said.append(f"goes from {low} to {high}, validated from {from_} to {to}")
         if here.speed is not None and shown.speed is not None and here.speed > (1.0 + LEFT_BY) * shown.speed:
             fast, known = (shown_value(v, f"{here.unit}/s") for v in (here.speed, shown.speed))
-            said.append(f"moves at up to {fast}, shown up to {known}")
+            said.append(f"moves at up to {fast}, validated up to {known}")
         if said:
-            notes.append(f"Beyond what model '{model.name}' was shown to hold for: {name} {' and '.join(said)}.")
+            notes.append(f"Outside the validated range of model '{model.name}': {name} {' and '.join(said)}.")
     return tuple(notes)
 
 

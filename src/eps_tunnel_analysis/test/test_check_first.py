@@ -47,7 +47,7 @@ def alike(report: Path) -> set[str]:
 
 
 def opens(report: Path) -> bool:
-    return titles(report)[:2] == ["At a glance", "What the recordings can tell"]
+    return titles(report)[:2] == ["At a glance", "What the recordings can identify"]
 
 
 def test_a_diagnosis_tells_the_check_first_on_terminal_page_and_in_json(

@@ -60,12 +60,12 @@ def alone(folder: Path) -> np.ndarray:
         ('<position joint="disc" kp="100"/>', "has no name in disc.xml; in robot.xml it is called disc", ["disc"]),
         (
             '<position joint="disc" kp="100"/><velocity name="brake" joint="disc" kv="5"/>',
-            "acts by brake; disc would act beside it and is switched off",
+            "uses brake; disc would act in addition and is switched off",
             ["disc", "brake"],
         ),
         (
             '<motor name="m" joint="disc"/><position name="hold" joint="disc" kp="100"/>',
-            "acts by m; hold would act beside it",
+            "uses m; hold would act in addition",
             ["m", "hold"],
         ),
     ],

@@ -117,7 +117,7 @@ def test_the_title_is_the_answer():
     assert headline(off_by(0.02), "m").startswith("m is off by 1")
     assert "times what the rig itself repeats, most on a" in headline(off_by(0.02), "m")
     assert headline(off_by(1e-5), "m") == "m is as close to the rig as the rig is to itself"
-    assert "one trial tells no repeat spread" in headline(off_by(0.02, trials=1), "m")
+    assert "one trial gives no repeat spread" in headline(off_by(0.02, trials=1), "m")
     page = compare_report(off_by(0.02), "m", [], ("Next.", "eps-tunnel diagnose"))
     assert re.search(r"<h1>(.*)</h1>", page)[1] == headline(off_by(0.02), "m")
 

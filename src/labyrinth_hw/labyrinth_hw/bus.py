@@ -234,7 +234,8 @@ class ServoBus:
                 f"{name} (id {motor.id}) is in operating mode {mode}; expected "
                 f"{' or '.join(f'{OPERATING_MODES[each]} ({each})' for each in wanted)}"
                 f"{_purpose(motor, torque_share is not None and with_current)}. Nothing was written: "
-                f"state `operating_mode: {wanted[0]}` for this motor to have it set, or set it by the maker's tool."
+                f"state `operating_mode: {wanted[0]}` for this motor to have it set, or set it with the "
+                "manufacturer's tool."
             )
         if motor.law is not None:
             self.write(name, "goal_current", 0.0)

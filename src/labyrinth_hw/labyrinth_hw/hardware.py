@@ -182,7 +182,7 @@ class Hardware:
     def supply_ball(self) -> None:
         """Let the depot release a ball with the next request. Raises SensorError without a sensor line."""
         if self.sensors is None or not self.sensors_connected:
-            raise SensorError("The ball depot hangs on the sensor line, and that is not connected.")
+            raise SensorError("The ball depot is on the sensor line, which is not connected.")
         self._supply = True
 
     def close(self) -> None:

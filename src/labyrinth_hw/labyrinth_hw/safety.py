@@ -120,7 +120,7 @@ class Safety:
     def arm(self, now: float) -> None:
         """Obey commands that are received from `now` on, s. Raises InputError while stopped."""
         if self.state is State.STOPPED:
-            raise InputError(f"Stopped: {'; '.join(self.reasons)}. Mend that, then call the reset service.")
+            raise InputError(f"Stopped: {'; '.join(self.reasons)}. Fix that, then call the reset service.")
         if self.state is State.DISARMED:
             self.state, self.reasons = State.WAITING, ()
             self._armed_at = self._newest = now

@@ -59,20 +59,20 @@ class Check:
         for one in self.excited:
             if one.kind == "value" and one.mend:
                 found.setdefault(f"axis {one.axis}: {one.mend}", []).append(one.name)
-        lines = [f"To find {', '.join(names)}, {mend.partition(': ')[2]}." for mend, names in found.items()]
+        lines = [f"To identify {', '.join(names)}, {mend.partition(': ')[2]}." for mend, names in found.items()]
         alike = {
             tuple(sorted((one.name, *one.confounded))) for one in self.excited if one.kind == "value" and one.confounded
         }
         lines += [
-            f"These stand in for one another, so state one of them: {', '.join(names)}." for names in sorted(alike)
+            f"These can compensate for one another, so fix one of them: {', '.join(names)}." for names in sorted(alike)
         ]
         weak = [one for one in self.excited if one.kind == "effect" and one.answer == "weak" and one.confounded]
-        lines += [f"To tell {one.name}: {one.mend}" for one in sorted(weak, key=lambda one: -one.figure)[:MENDED]]
+        lines += [f"To identify {one.name}: {one.mend}" for one in sorted(weak, key=lambda one: -one.figure)[:MENDED]]
         return lines
 
 
 def _name(one: Excited) -> str:
-    like = f" (not told from {', '.join(one.confounded)})" if one.confounded else ""
+    like = f" (not distinguishable from {', '.join(one.confounded)})" if one.confounded else ""
     if one.kind == "value" and one.answer != "no":
         return f"{one.name} ± {shown_number(one.figure, 2)} {one.unit}".removesuffix(" 1") + like
     return one.name + like

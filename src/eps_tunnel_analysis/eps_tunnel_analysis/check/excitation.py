@@ -187,7 +187,7 @@ def livelier(axis: str, model: Model, plays: Sequence[Play]) -> str:
     if max(rests) < 0.05:
         missing.append("rests of half a second")
     if len(plays) < 2:
-        missing.append("slow triangles beside fast sines")
+        missing.append("slow triangles in addition to fast sines")
     return f"play {', '.join(missing)}" if missing else "play faster reversals, and another load or start"
 
 

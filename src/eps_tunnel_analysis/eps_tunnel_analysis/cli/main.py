@@ -52,7 +52,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         "eps-tunnel",
         description=DESCRIPTION,
-        epilog="eps-tunnel COMMAND --help tells more about each.",
+        epilog="eps-tunnel COMMAND --help explains each.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"eps-tunnel {version()}")

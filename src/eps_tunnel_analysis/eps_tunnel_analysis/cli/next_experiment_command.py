@@ -29,8 +29,8 @@ examples:
   eps-tunnel next-experiment --for values --model labyrinth_mx64 --free 'drive.x.*' --seconds 8 --out first.yaml
   eps-tunnel next-experiment --for names --model labyrinth --real bags/real_* --out next.yaml
 
-For values: the commands of a menu, at its amplitudes, one after another, that hold the most information on the values,
-all axes at once; none that the model runs into a stop with. For names: what `diagnose` proposes where it is undecided.
+For values: commands from a menu, one after another, with the most information on the values, all axes at once; none
+that runs the model into a stop. For names: the sequence that `diagnose` proposes when it is undecided.
 Play the file with `eps-tunnel sequences FILE --csv ...` or the sequence player."""
 
 
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="values to narrow (default: what each drive declares as free, and all of the model's "
                         "effects)")  # fmt: skip
     parser.add_argument("--seconds", type=within(1.0, 3600.0, "s"), default=12.0, metavar="S",
-                        help="of motion, at most (default: %(default)g)")  # fmt: skip
+                        help="longest motion, s (default: %(default)g)")  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="sequence file to write")
     add_diagnosis_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, to stdout")
@@ -108,7 +108,7 @@ def _for_names(arguments: argparse.Namespace, out: Path) -> None:
             recorded.model, recorded.plays, options.seed, None, options.threads, progress, held=recorded.held
         )
     if diagnosis.experiment is None:
-        raise InputError(f"{diagnosis.verdict.sentence} No experiment decides more.")
+        raise InputError(f"{diagnosis.verdict.sentence} No experiment would decide more.")
     write_new(out, diagnosis.experiment.to_yaml())
     if arguments.json:
         experiment = diagnosis.experiment

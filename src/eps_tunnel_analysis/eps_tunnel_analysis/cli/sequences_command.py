@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "(default: list all)")  # fmt: skip
     parser.add_argument("--csv", metavar="FILE", type=Path, help="write its sampled commands to this new file")
     parser.add_argument(
-        "--rate", type=within(0.1, 1e5, "Hz"), default=100.0, metavar="HZ", help="samples a second (default: 100)"
+        "--rate", type=within(0.1, 1e5, "Hz"), default=100.0, metavar="HZ", help="samples per second (default: 100)"
     )
 
 

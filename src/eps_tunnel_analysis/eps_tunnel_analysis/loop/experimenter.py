@@ -183,8 +183,8 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
     if shared:
         words = " and ".join(in_words(name, registry) for name in shared)
         if len(sets) == 1:
-            return tuple(shared), f"More likely than not, {words} is missing; there may be something unknown besides."
-        return tuple(shared), f"These recordings leave {len(sets)} sets of effects; all of them hold {words}."
+            return tuple(shared), f"More likely than not, {words} is missing; something unknown may be missing as well."
+        return tuple(shared), f"These recordings leave {len(sets)} sets of effects; all of them contain {words}."
     if sum(verdict.set[name] for name in sets) <= LIKELY:
         return (), ""
 
@@ -194,7 +194,7 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
 
     simplest = min(sets, key=size)
     others = " or ".join(" with ".join(in_words(e, registry) for e in s.split(" + ")) for s in sets if s != simplest)
-    return tuple(simplest.split(" + ")), f"No recording at hand tells it from {others}; it is the simplest."
+    return tuple(simplest.split(" + ")), f"No recording at hand distinguishes it from {others}; it is the simplest."
 
 
 def _parameters(name: str, registry: Registry) -> tuple[object, ...]:
@@ -329,7 +329,7 @@ class Experimenter:
         self._repeated = True
         self._played = [(bags, gap) for bags, gap in self._played if all(gap is not other for other in uneven)]
         late = max(gap.jitter for gap in uneven)
-        why = f"the same model, for trials differed as if they had come {1e3 * late:.0f} ms early or late"
+        why = f"the same model, because trials differed as if they had come {1e3 * late:.0f} ms early or late"
         return self._play(self.plan.sequence, model, why, self._stairs.pop())
 
     def _uneven(self) -> list[Gap]:
@@ -342,7 +342,7 @@ class Experimenter:
         if not self.rig or proposal is None or proposal.model is None or proposal.visit is None:
             return None
         file = reason.folder / f"{proposal.visit.name}.yaml"
-        return self._play(str(file), model, f"the same model, to confirm what is proposed. {proposal.visit.reason}")
+        return self._play(str(file), model, f"the same model, to confirm the proposed law. {proposal.visit.reason}")
 
     def _tested(self, reason: Reason, played: Played | None) -> Tested | None:
         """What a play of another command, or recordings that were held out, say of a proposed law."""
@@ -415,10 +415,10 @@ def judged(
     hid = set(true.split(" + "))
     if hid <= set(effects):
         more = " and ".join(in_words(name, registry) for name in sorted(set(effects) - hid))
-        return f"It was found; named besides: {more}." if more else "It was found; whether that is all is not decided."
+        return f"It was found; also named: {more}." if more else "It was found; it is not decided whether that is all."
     if ending == "undecided" and true in stated:
         return f"It is one of the {len(stated)} hypotheses that these recordings leave."
     naming = [set(name.split(" + ")) for name in stated if name not in (NONE, UNKNOWN)]
     if ending == "undecided" and naming and all(hid <= names for names in naming):
-        return "It was found; whether that is all is not decided."
+        return "It was found; it is not decided whether that is all."
     return "That was not found."

@@ -208,7 +208,7 @@ class Session:
                 self._reruns.end()
             case WhatIfRequest(name, value):
                 if self._rig.playing:
-                    raise InputError("Wait until the run has ended: a simulation beside it would disturb it.")
+                    raise InputError("Wait until the run has ended: a simulation at the same time would disturb it.")
                 self._reruns.ask(name, value)
             case _:
                 self._requests.put(request)
@@ -295,7 +295,7 @@ class Session:
         if not self._armed:
             raise InputError("Arm the rig first: playing moves it.")
         if not self._rig.ready:
-            raise InputError("Nobody plays. Start `ros2 run eps_tunnel_analysis player`.")
+            raise InputError("No player is running. Start `ros2 run eps_tunnel_analysis player`.")
         # A path that came over the wire is not looked up: what is offered is all there is.
         if request.sequence not in self._offered:
             raise InputError(unknown_name("sequence", request.sequence, self._offered))
@@ -309,14 +309,14 @@ class Session:
         """Bags and model to work with."""
         self._refuse_when_busy()
         if not self._bags:
-            raise InputError("Play a sequence first: the bags of the last run are what is diagnosed.")
+            raise InputError("Play a sequence first: the diagnosis uses the bags of the last run.")
         if not self._model:
             raise InputError("The simulation does not report its model's file. Name it: `-p model:=...`.")
         return tuple(map(Path, self._bags)), self._model
 
     def _refuse_when_busy(self) -> None:
         if self._rig.playing or self._work.kind or self._loading:
-            raise InputError("Wait until what is under way has ended, or stop it.")
+            raise InputError("Wait until the current job has ended, or stop it.")
 
     def _new(self, kind: str, name: str = "") -> Path:
         """A path that nothing has yet, in a folder of this session."""
@@ -436,7 +436,7 @@ class Reruns:
         """
         with self._lock:
             if not self._offered:
-                raise InputError("Play a sequence first: a value is moved over the recordings of the last run.")
+                raise InputError("Play a sequence first: a value is tried on the recordings of the last run.")
             if name not in self._offered:
                 raise InputError(unknown_name("parameter", name, self._offered))
             self._wanted = _Wanted(self._bags, self._model, self._offered[name], value, self._turn)

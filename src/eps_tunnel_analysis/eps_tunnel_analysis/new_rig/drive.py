@@ -114,7 +114,7 @@ def _damped(samples: Sequence[Sampled], scale: float, zero: float) -> str:
     if not 1.0 / NEAR < c / k / moved < NEAR:
         return ""
     return (
-        f"a straight law of error and speed explains {share:.0%} of it, and damps the joint as it moves: damping over "
+        f"a linear law of error and speed explains {share:.0%} of it, and damps the joint as it moves: damping over "
         f"stiffness is {c / k:.3g} s in the law and {moved:.3g} s in the motion"
     )
 
@@ -216,7 +216,7 @@ def propose_drive(
                     "damping": Proposed(_round(max(c, 0.0)), f"{n} s/{rad}", "the same line"),
                     "torque": Proposed(
                         _round(limit if limit and not limited else torque), n,
-                        "the largest recorded effort, where it is cut off" if limited
+                        "the largest recorded effort, where it is clipped" if limited
                         else limit_why or "a fifth beyond the largest recorded effort",
                     ),
                     "delay": Proposed(0.0, "s", "to be fitted"),
@@ -226,7 +226,7 @@ def propose_drive(
         share, gives_way = _yielding(robot, joint, samples, scale, zero)
         if share > YIELDS:
             by = f"{gives_way:.3g} {n}/{rad}"
-            told = f"it gives way to its weight by {by}, which explains {share:.0%} of what speed does not"
+            told = f"it sags under its weight by {by}, which explains {share:.0%} of what speed does not"
             kp = Proposed(_round(gives_way / DUTY_GAIN / stall), "1", "so that full duty times it is that")
             values = _duty_values(kp, stall, stall_why, n, rad)
             return DriveProposal("pwm_servo", told, values, unit, unit_why)
@@ -241,16 +241,17 @@ def propose_drive(
             torque = max(min(asked, ROOM * _needed(robot, joint, samples, scale, zero)), 1.5 * load, 1e-3)
             torque_why = "twice what the recorded motion needs; to be checked against the data sheet"
             if torque == asked:
-                torque_why = "what that stiffness asks for at the largest error; to be checked against the data sheet"
+                torque_why = "the torque of that stiffness at the largest error; to be checked against the data sheet"
         if straight:
             torque = limit or stiffness * most / k * (1.0 if limited else UNSEEN)
             torque_why = limit_why or (
-                "the largest recorded effort in terms of that stiffness, where it is cut off" if limited
-                else f"{UNSEEN:g} times the largest recorded effort in terms of that stiffness, for it is never cut off"
+                "the largest recorded effort in terms of that stiffness, where it is clipped" if limited
+                else f"{UNSEEN:g} times the largest recorded effort in terms of that stiffness, because it is never "
+                "clipped"
             )  # fmt: skip
         why = (
             "its effort is a PD law on the error" if straight
-            else f"a second order answers as recorded with {ratio:.0%} of a first order's error"
+            else f"a second-order response matches the recording with {ratio:.0%} of a first-order response's error"
             if ratio < BETTER else "it follows faster than a speed loop does"
         )  # fmt: skip
         reason = f"inertia {inertia:.3g} at the model's pose times {frequency:.3g} 1/s squared"
@@ -260,25 +261,25 @@ def propose_drive(
                 _round(2.0 * damping * frequency * inertia), f"{n} s/{rad}", f"damping ratio {damping:.2g}"
             ),
             "torque": Proposed(_round(torque), n, torque_why),
-            "delay": Proposed(min(second[3], 0.05), "s", "of that answer"),
+            "delay": Proposed(min(second[3], 0.05), "s", "of that response"),
         }
         factor = stiffness / k if straight else None
         return DriveProposal("torque_pd", why, values, unit, unit_why, factor=factor)
     p = min(first[1], 0.95 * FASTEST)
     torque = limit or max(2.0 * load, 10.0 * inertia, 1e-3)
     values = {
-        "p": Proposed(_round(p), "1/s", "of the first order's answer"),
+        "p": Proposed(_round(p), "1/s", "of the first-order response"),
         "i": Proposed(0.0, "1/s^2", "none is seen"),
         "d": Proposed(0.0, "1/s", "none is seen"),
-        "delay": Proposed(min(first[2], 0.05), "s", "of that answer"),
+        "delay": Proposed(min(first[2], 0.05), "s", "of that response"),
         "speed_gain": Proposed(_round(max(20.0 * inertia, 1e-3)), f"{n} s/{rad}", "so that the speed settles in 50 ms"),
         "torque": Proposed(
-            _round(torque), n, limit_why or "enough for the load twice; to be checked against the data sheet"
+            _round(torque), n, limit_why or "enough for twice the load; to be checked against the data sheet"
         ),
     }
     return DriveProposal(
         "velocity_pid",
-        f"a first order answers as recorded; a second leaves {ratio:.0%} of its error",
+        f"a first-order response matches the recording; a second-order one leaves {ratio:.0%} of its error",
         values,
         unit,
         unit_why,

@@ -150,7 +150,7 @@ def match_joints(
         if name in robot.joints and name not in pairs:
             pairs[name] = (name, "the same name")
         elif len(alike) == 1:
-            pairs[alike[0]] = (name, f"the same name but for its spelling ({name})")
+            pairs[alike[0]] = (name, f"the same name, spelled differently ({name})")
     if not pairs and len(robot.joints) == len(recorded) == 1:
         pairs[robot.joints[0]] = (recorded[0], "the only joint on either side")
     if not pairs:

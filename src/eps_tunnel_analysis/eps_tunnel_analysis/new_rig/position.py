@@ -116,11 +116,11 @@ def _whole(seen: Array, sent: Array) -> str:
 
 
 def _normalised(recorded: str, seen: Array, sent: Array) -> str:
-    """A doubt where values end at exactly 100 or -100, as LeRobot's do unless it is told to use degrees; "" else."""
+    """A doubt if values end at exactly 100 or -100, as LeRobot's do unless it is set to use degrees; "" otherwise."""
     if NORMALISED not in (float(np.abs(seen).max()), float(np.abs(sent).max())):
         return ""
     return (
         f"! {recorded} reaches exactly {NORMALISED:g}: is it LeRobot's normalised range, -100 to 100 or 0 to 100 of "
-        "what the joint was calibrated for? That is no angle. Record with use_degrees, or say what it stands for: of a "
-        "joint that turns by R deg from -100 to 100, --position-unit ticks --ticks-per-turn 72000/R."
+        "the joint's calibrated range? That is not an angle. Record with use_degrees, or state the scale: for a joint "
+        "that turns by R deg from -100 to 100, --position-unit ticks --ticks-per-turn 72000/R."
     )

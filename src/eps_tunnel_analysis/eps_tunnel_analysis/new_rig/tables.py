@@ -93,11 +93,11 @@ def _add_lists(
         if len(elements) != len(joints) or found[quantity]:
             why = (
                 f"there is another column of a {quantity}" if found[quantity]
-                else f"it has {len(elements)} number{'s' * (len(elements) > 1)} a cell, and the model "
+                else f"it has {len(elements)} number{'s' * (len(elements) > 1)} per cell, and the model "
                 f"{len(joints)} joint{'s' * (len(joints) > 1)}"
             )  # fmt: skip
             notes.append(
-                f"{table.name}: column '{name}' is left out, for {why}. To use it, say `eps-tunnel import-csv "
+                f"{table.name}: column '{name}' is left out, because {why}. To use it, say `eps-tunnel import-csv "
                 f"--{quantity} JOINT={name}[0]`, then --bag."
             )
             continue

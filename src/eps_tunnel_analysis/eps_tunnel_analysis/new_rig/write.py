@@ -97,8 +97,8 @@ def new_rig(
     illegal = [m.recorded for m in matches if not WORD.fullmatch(m.recorded)]
     if illegal:
         raise InputError(
-            [f"The joint '{n}' is no legal ROS topic word (letters, digits and single underscores); publish it under "
-             "another name, or import a table with --csv." for n in illegal]
+            [f"The joint '{n}' is not a legal ROS topic word (letters, digits and single underscores); publish it "
+             "under another name, or import a table with --csv." for n in illegal]
         )  # fmt: skip
     step = sample_time(recordings, topics)
     axes = []
@@ -111,7 +111,7 @@ def new_rig(
     write_new(folder / "model.yaml", _model_text(robot, axes, recordings))
     notes = [*(note for a in axes for note in _found(a)), *changed]
     left = [j for j in robot.joints if j not in [a.match.joint for a in axes]]
-    notes += [f"Not driven here, as no recording commands it: {', '.join(left)}."] if left else []
+    notes += [f"Not driven here, because no recording commands it: {', '.join(left)}."] if left else []
     return NewRig(folder / "model.yaml", tuple(notes), tuple(_known(axes, recordings)))
 
 
@@ -218,8 +218,8 @@ def _robot_file(robot: Robot, joints: Sequence[str], folder: Path) -> tuple[Path
         for joint in unnamed
     ]
     notes += [
-        f"Joint {joint} has more than one actuator. Its drive acts by {robot.actuators[joint]}; {', '.join(names)} "
-        f"would act beside it and is switched off in robot.xml (group {OFF_GROUP}, which its option "
+        f"Joint {joint} has more than one actuator. Its drive uses {robot.actuators[joint]}; {', '.join(names)} "
+        f"would act in addition and is switched off in robot.xml (group {OFF_GROUP}, which its option "
         "'actuatorgroupdisable' names)."
         for joint, names in others.items()
     ]

@@ -113,16 +113,16 @@ class AnalysisNode(TunnelNode):
         ks = self.parameter("ks", list(KS), "Factors by which the real tunnel is widened", "1")
         k_sim = self.parameter("k_sim", 1.0, "Factor by which the simulated tunnel is widened", "1", 0, 1000)
         smoothed = self.parameter("smoothed", True, "Smooth the tunnel over 11 samples, equation 12")
-        rate = self.parameter("rate", 0.0, "Samples a second of the grid on which both sides are compared; 0: as many "
-                              "as the simulation's rig has, and 100 without one", "Hz", 0, 1000)  # fmt: skip
+        rate = self.parameter("rate", 0.0, "Samples per second of the grid on which both sides are compared; 0: the "
+                              "rate of the simulation's rig, or 100 without one", "Hz", 0, 1000)  # fmt: skip
         max_gap = self.parameter("max_gap", 0.1, "Longest span between measurements that is bridged", "s", 0.001, 10)
         late = self.parameter("late_after", 0.1, "Age at arrival from which a message counts as late", "s", 0.001, 60,
                               changes=True)  # fmt: skip
-        srg_rate = self.parameter("srg_rate", 10.0, "Messages a second on /srg", "Hz", 0.1, 100)
+        srg_rate = self.parameter("srg_rate", 10.0, "Messages per second on /srg", "Hz", 0.1, 100)
         images = self.parameter("images", False, "Record images, too", changes=True)
         self.parameter("connect_timeout", 10.0, "Longest wait of /record for the sides' publishers to be matched", "s",
                        0, 3600, changes=True)  # fmt: skip
-        reference = self.parameter("reference", [""], "Bags of real trials whose tunnels hold from the start")
+        reference = self.parameter("reference", [""], "Bags of real trials whose tunnels apply from the start")
         if not ks or min(ks) < 0 or len(set(ks)) != len(ks):
             self.complain(f"Parameter 'ks': expected different numbers of at least 0, got {list(ks)}.")
         if 0 < rate < LOWEST_RATE:
@@ -396,7 +396,7 @@ class AnalysisNode(TunnelNode):
         self._counters.publish(message)
         troubled = [topic for topic, c in zip(topics, counts, strict=True) if c.troubled]
         level = DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK
-        text = f"samples went wrong on {', '.join(troubled)}" if troubled else "every sample in its place"
+        text = f"samples went wrong on {', '.join(troubled)}" if troubled else "all samples in order"
         samples = DiagnosticStatus(level=level, name=f"{self.full_name}: samples", message=text)
         for topic, c in zip(topics, counts, strict=True):
             samples.values.append(KeyValue(key=topic, value=str(c)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serves the page to watch, and does what it is asked for there."""
+"""Serves the web page, and carries out its requests."""
 
 import argparse
 import signal
@@ -145,7 +145,7 @@ class Inputs:
         """Whether the parts of a message belong together; another than ours may have sent it."""
         fits = whether(message)
         if not fits:
-            text = f"Left out a {type(message).__name__} whose numbers are not as many as its signals ask for."
+            text = f"Ignored a {type(message).__name__} whose arrays do not have as many numbers as it has signals."
             self._logger.warning(text, throttle_duration_sec=1.0)
         return fits
 
@@ -236,7 +236,7 @@ class PlayerClient:
 
     def lost(self) -> None:
         """The player went away; its run will not be told to have ended."""
-        self._end(PlaySequence.Result(success=False, message="The player went away while it played."))
+        self._end(PlaySequence.Result(success=False, message="The player disappeared while it was playing."))
 
     def _answered(self, future: Any) -> None:
         handle = future.result()
@@ -264,7 +264,7 @@ class SimulationClient:
     def load(self, model: Path, answered: Callable[[bool, str], None]) -> None:
         """`answered` gets whether it does, and the simulation's words."""
         if not self._client.service_is_ready():
-            answered(False, f"Nobody offers {self._client.service_name}. The model is in {model}.")
+            answered(False, f"No node offers {self._client.service_name}. The model is in {model}.")
             return
         future: Any = self._client.call_async(LoadModel.Request(model=str(model)))
         future.add_done_callback(lambda f: answered(f.result().success, f.result().message))
@@ -278,10 +278,10 @@ class Monitor(TunnelNode):
         self._processes = processes
         host = self.parameter("host", "127.0.0.1", "Address to listen on")
         port = self.parameter("port", 8765, "Port to listen on; 0 takes a free one", "-", 0, 65535)
-        token = self.parameter("token", "", "To be shown by every page; empty: a new one at each start")
+        token = self.parameter("token", "", "Token that every page must present; empty: a new one at each start")
         ask_token = self.parameter("ask_token", True, "False lets every program of this machine drive the rig")
         folder = self.parameter("folder", "out", "Where monitor-N is made, for bags, diagnoses and models")
-        model = self.parameter("model", "", "Model to diagnose; empty: the file that the simulation tells")
+        model = self.parameter("model", "", "Model to diagnose; empty: the file that the simulation reports")
         candidates = self.parameter("candidates", [""], "Effects to consider in a diagnosis; empty: all") or []
         candidates = [name for name in candidates if name]
         if not ask_token and not is_loopback(host):
@@ -401,14 +401,14 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="monitor",
         description="Serves a page that shows rig and simulation while they run, with buttons to play, diagnose "
-        "and add. Joins the nodes that run; with --emulated it starts a rig of its own.",
+        "and add. Uses the running nodes; with --emulated it starts its own rig.",
         epilog="Parameters, after --ros-args -p NAME:=VALUE: host, port, token, ask_token, folder, model, candidates.",
     )
     p.add_argument("--emulated", nargs="?", const="healthy", metavar="CONFIG", help="start an emulated rig of "
                    "config/testbed and config/hw (default: healthy), simulation, analysis and player")  # fmt: skip
     own = p.add_argument_group("with --emulated")
     own.add_argument("--hide", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]",
-                     help="hide one more effect in the rig; ? draws one, told at the end")  # fmt: skip
+                     help="hide one more effect in the rig; ? picks one at random, revealed at the end")  # fmt: skip
     own.add_argument("--sim", default="labyrinth_mx64", metavar="M", help="model of the simulation (default: "
                      "%(default)s)")  # fmt: skip
     own.add_argument("--video", action="store_true", help="emulate the camera, too; takes most of a processor core")

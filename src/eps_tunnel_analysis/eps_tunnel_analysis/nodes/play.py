@@ -231,13 +231,13 @@ class SequencePlayer:
         return Outcome(
             True,
             f"Played {sequence.name}: {run.trials} trials on {', '.join(side.name for side in self._sides)}. "
-            f"Commands were {np.median(late):.2f} ms late in the middle, {np.percentile(late, 99):.2f} ms at 99 %, "
+            f"Commands were {np.median(late):.2f} ms late in the median, {np.percentile(late, 99):.2f} ms at 99 %, "
             f"{late.max():.2f} ms at most.",
             tuple(bags),
         )
 
     def _connect(self, command: Command, run: Run) -> None:
-        """Waits until every side listens and tells where its joints are."""
+        """Waits until every side listens and publishes joint states."""
         deadline = time.monotonic() + self.limits.connect_timeout
         while missing := [reason for side in self._sides if (reason := self._missing(side, command))]:
             if time.monotonic() > deadline:
@@ -248,14 +248,14 @@ class SequencePlayer:
     def _clock_gone(self) -> str:
         """Why a simulated clock will not go on; empty where it may, as after a pause."""
         gone = [side for side in self._sides if self._pace.simulated and not side.measured]
-        return f"{gone[0].name} fell silent: nobody publishes {gone[0].topics[1]} any more." if gone else ""
+        return f"{gone[0].name} fell silent: nothing publishes {gone[0].topics[1]} any more." if gone else ""
 
     def _missing(self, side: RigSide, command: Command) -> str:
         commands, states = side.topics
         if not self._pace.nanoseconds():
             return "No time on /clock, which use_sim_time:=true asks for."
         if not side.listeners:
-            return f"Nobody listens to {commands}."
+            return f"Nothing subscribes to {commands}."
         if side.silence > self.limits.silence:
             return f"No joint states on {states}."
         if side.stamp and abs(ahead := side.stamp - self._pace.nanoseconds() * 1e-9) > STALE:
@@ -286,7 +286,7 @@ class SequencePlayer:
             except Stalled as stall:
                 if repeat == REPEATS:
                     raise
-                self._log.warning(f"Trial {number + 1} of {command.name} is given up and begun anew: {stall}")
+                self._log.warning(f"Trial {number + 1} of {command.name} is aborted and started again: {stall}")
 
     def _trial(self, command: Command, number: int, run: Run) -> None:
         initial = np.array(command.initial)
@@ -374,8 +374,8 @@ class SequencePlayer:
             due = grid.newest(self._pace.now()) - done
             if strict and due - step - 1 > self.limits.stall * self.rate:
                 raise Stalled(
-                    f"the player was not served for {(due - step) / self.rate:.2f} s; the machine is too busy. Close "
-                    "other programs, or raise `stall_timeout`."
+                    f"the player got no processor time for {(due - step) / self.rate:.2f} s; the machine is too busy. "
+                    "Close other programs, or raise `stall_timeout`."
                 )
             step = max(step + 1, due)
         return grid

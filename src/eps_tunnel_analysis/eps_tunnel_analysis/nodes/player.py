@@ -30,7 +30,7 @@ class Player(TunnelNode):
         self._folder = self.parameter("folder", "", "Folder for the bags, at autostart; empty: a new one under out/")
         sides = self.sides()
         number = self.parameter
-        number("rate", 100.0, "Commands a second", "Hz", 1, 1000, changes=True)
+        number("rate", 100.0, "Commands per second", "Hz", 1, 1000, changes=True)
         number("limit_deg", 5.0, "Largest target angle in either direction", "deg", 0, 180, changes=True)
         number("return_speed_deg", 20.0, "Speed on the way to the start", "deg/s", 0.1, 1000, changes=True)
         number("rest_time", 0.5, "How long a side must be still to be at rest", "s", 0.05, 60, changes=True)
@@ -39,7 +39,7 @@ class Player(TunnelNode):
         number("silence_timeout", 1.0, "Longest silence of joint states", "s", 0.02, 60, changes=True)
         number("connect_timeout", 10.0, "Longest wait for sides and recorder to appear", "s", 0.1, 3600, changes=True)
         number(
-            "stall_timeout", 0.1, "Longest pause within a trial before it is begun anew", "s", 0.02, 10, changes=True
+            "stall_timeout", 0.1, "Longest pause within a trial before it is started again", "s", 0.02, 10, changes=True
         )
         self.check_parameters()
         pace = Pace(self.get_clock(), bool(self.get_parameter("use_sim_time").value))
@@ -120,7 +120,7 @@ class Player(TunnelNode):
             outcome = Outcome(False, str(error), ())
         except Exception as error:  # a thread that died silently would leave the player busy for ever
             self.get_logger().error(traceback.format_exc())
-            outcome = Outcome(False, f"The player failed: {error!r}. Its log tells where.", ())
+            outcome = Outcome(False, f"The player failed: {error!r}. See its log.", ())
         self.say(outcome.success, outcome.message)
         return outcome
 

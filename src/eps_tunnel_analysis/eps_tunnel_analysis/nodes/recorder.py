@@ -182,7 +182,7 @@ class Recorder:
             sides: as for `start`. Call `look` before.
         """
         expected = sides or (self._prefixes if time.monotonic() < self._began + DISCOVERY else ())
-        absent = [f"{prefix} (nobody measures there)" for side, prefix in self._prefixes.items()
+        absent = [f"{prefix} (no joint states there)" for side, prefix in self._prefixes.items()
                   if side in expected and not self._measures(side)]  # fmt: skip
         deaf = [
             f"{topic.full} ({len(topic.ends) - topic.reached} of {len(topic.ends)} publishers)"
@@ -218,8 +218,8 @@ class Recorder:
         sides = [side for side in self._prefixes if (side in sides if sides else self._measures(side))]
         if not sides:
             raise InputError(
-                f"Nobody measures under {' or '.join(self._prefixes.values())}. Start the node of a side, or name "
-                "`sides` to record what will come."
+                f"No joint states under {' or '.join(self._prefixes.values())}. Start the node of a side, or give "
+                "`sides` to wait for them."
             )
         paths = {side: folder / f"{label}_{side}" for side in sides}
         taken = [str(path) for path in paths.values() if os.path.lexists(path)]
@@ -265,13 +265,12 @@ class Recorder:
     def _why_silent(self, topic: _Topic) -> str:
         ends = self._node.get_publishers_info_by_topic(topic.full)
         if not ends:
-            return (
-                "nobody publishes there. Start that side's node, check namespace and ROS_DOMAIN_ID, or remap the topic."
-            )
+            return "nothing publishes there. Start its node, check namespace and ROS_DOMAIN_ID, or remap the topic."
         heard = f"{topic.profile.reliability.name}, {topic.profile.durability.name}".lower()
         names = ", ".join(f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends)
         return (
-            f"{names} published nothing that a subscription with {heard} hears; see `ros2 topic info -v {topic.full}`."
+            f"{names} published nothing that a subscription with {heard} receives; see `ros2 topic info -v "
+            f"{topic.full}`."
         )
 
     def _measures(self, side: str) -> bool:

@@ -72,8 +72,8 @@ class RecordClient:
         while not self._client.service_is_ready():
             if time.monotonic() > deadline:
                 raise InputError(
-                    f"Nobody records: the service {self._client.service_name} did not appear within {appears:g} s. "
-                    "Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
+                    f"No recorder is running: the service {self._client.service_name} did not appear within "
+                    f"{appears:g} s. Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
                 )
             check()
             time.sleep(RECORDERS_PERIOD)

@@ -279,7 +279,7 @@ def _closed(path: Path, source: Path) -> Bag:
         raise InputError(_damaged(path, error or type(error).__name__)) from error
     bag = Bag(path, topics, metadata, None)
     if bag.count < expected:
-        raise InputError(_damaged(path, f"{bag.count} messages, but its metadata tells {expected}"))
+        raise InputError(_damaged(path, f"{bag.count} messages, but its metadata says {expected}"))
     return bag
 
 
@@ -340,13 +340,13 @@ def _merged(path: Path, parts: Iterable[Mapping[str, RawTopic]]) -> dict[str, Ra
 
 def _damaged(path: Path, reason: object) -> str:
     return (
-        f"{path}: not a whole bag ({reason}). Expected {EXPECTED}. If a recording was cut or damaged, "
-        "`eps-tunnel repair BAG --out NEW` may save what is whole into a new bag."
+        f"{path}: not a complete bag ({reason}). Expected {EXPECTED}. If a recording was cut or damaged, "
+        "`eps-tunnel repair BAG --out NEW` may save the intact part into a new bag."
     )
 
 
 def _lone_file(path: Path, file: Path) -> Bag:
-    """A file without metadata.yaml beside it."""
+    """A file without metadata.yaml next to it."""
     if file.suffix == ROS1_SUFFIX:
         return _ros1(path, file)
     if file.suffix != ".mcap":
@@ -372,8 +372,8 @@ def _ros1(path: Path, file: Path) -> Bag:
         raise InputError(f"{path}: {error}.") from error
     except Exception as error:  # rosbags asserts and raises classes of its own, bz2 and lz4 theirs
         raise InputError(
-            f"{path}: {file.name} is not a whole ROS 1 bag ({error or type(error).__name__}). Expected {EXPECTED}. "
-            "`rosbag reindex` may mend one whose recorder was killed."
+            f"{path}: {file.name} is not a complete ROS 1 bag ({error or type(error).__name__}). Expected {EXPECTED}. "
+            "`rosbag reindex` may repair one whose recorder was killed."
         ) from error
     return Bag(path, _merged(path, [topics]), {}, None)
 
@@ -391,7 +391,7 @@ def recovered(path: Path, file: Path) -> Bag:
     bag = Bag(path, _merged(path, [found.topics]), found.metadata, None)
     times = [time for raw in bag.topics.values() if raw.log_times for time in (raw.log_times[0], raw.log_times[-1])]
     if not times:
-        raise InputError(f"{path}: {file.name} was not closed properly and holds no whole chunk of messages.")
+        raise InputError(f"{path}: {file.name} was not closed properly and holds no complete chunk of messages.")
     note = (
         f"{file.name} was not closed properly; recovered {bag.count} messages "
         f"up to {(max(times) - min(times)) * 1e-9:.2f} s after its first."

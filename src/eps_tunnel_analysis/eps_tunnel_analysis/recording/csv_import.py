@@ -156,8 +156,8 @@ def _elements(table: Path, name: str, cells: list[str]) -> dict[str, list[str]]:
     odd = next((i for i, row in enumerate(rows) if len(row) != len(first)), None)
     if odd is not None:
         raise InputError(
-            f"{table}: line {odd + 2}, column '{name}': '{cells[odd]:.80}' is no list of {len(first)} numbers, as the "
-            "cells above it are. Expected one length throughout."
+            f"{table}: line {odd + 2}, column '{name}': '{cells[odd]:.80}' is not a list of {len(first)} numbers like "
+            "the cells above it. Expected one length throughout."
         )
     return {f"{name}[{i}]": [row[i] for row in rows] for i in range(len(first))}
 

@@ -83,7 +83,7 @@ def _stray(trials: Sequence[Samples]) -> str:
     return (
         f"Warning: {samples.what} has {count}, {value} {samples.unit} at {samples.time[at]:.2f} s of {samples.where} "
         f"where the others lie from {low} to {high} {samples.unit}. They count like any other; "
-        "look for a broken sensor or a lost byte, and record anew."
+        "look for a broken sensor or a lost byte, and record again."
     )
 
 

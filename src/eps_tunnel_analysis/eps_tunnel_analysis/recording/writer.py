@@ -301,7 +301,7 @@ def whole_bag(folder: Path, metadata: Mapping[str, str] | None = None) -> Iterat
             with BagWriter(made, metadata) as writer:
                 yield writer
             if folder.exists():
-                raise InputError(f"{folder}: somebody else made it meanwhile; it is left as it is.")
+                raise InputError(f"{folder}: another program created it in the meantime; it is left as it is.")
             made.rename(folder)
     except OSError as error:
         reason = (error.__cause__ or error) if isinstance(error, RecordingError) else error
@@ -329,7 +329,7 @@ def repair(bag: Path, out: Path) -> str:
         for log_time, name, message in sorted(messages, key=lambda entry: entry[0]):
             writer.write(name, log_time, message)
     count = sum(len(raw.messages) for raw in whole.topics.values())
-    return f"{out}: {count} messages saved. {whole.recovered or 'The bag was whole.'}"
+    return f"{out}: {count} messages saved. {whole.recovered or 'The bag was complete.'}"
 
 
 def _whole(bag: Path) -> Bag:

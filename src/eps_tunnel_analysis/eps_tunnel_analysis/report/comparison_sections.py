@@ -48,7 +48,7 @@ def headline(comparison: Comparison, name: str) -> str:
     if any(math.isnan(e.repeat_rms) for e in errors):
         worst = max(errors, key=lambda e: e.rms / e.range if e.range else math.inf)
         return (
-            f"{name} is off by {shown_value(worst.rms, worst.unit)} on {worst.signal}; one trial tells no repeat spread"
+            f"{name} is off by {shown_value(worst.rms, worst.unit)} on {worst.signal}; one trial gives no repeat spread"
         )
     worst = max(errors, key=_times)
     if _times(worst) <= 1:
@@ -73,7 +73,7 @@ def three_numbers(comparison: Comparison, before: Comparison | None = None) -> K
     was = seen.errors[comparison.signals.index(error.signal)] if before else None
     rig = comparison.against_itself[0].joint if comparison.against_itself else math.nan
     spread = "unknown with one trial" if math.isnan(error.repeat_rms) else shown_value(error.repeat_rms, error.unit)
-    too_few = "" if comparison.against_itself else "Three trials or more tell it."
+    too_few = "" if comparison.against_itself else "This needs three trials or more."
     return KeyFigures(
         [
             (
@@ -87,7 +87,7 @@ def three_numbers(comparison: Comparison, before: Comparison | None = None) -> K
                 shown_share(first.joint),
                 f"alike, {joint}, k = {first.k_real:g}",
                 (f"{shown_share(before.alikeness[0].joint)} before; " if before else "")
-                + "the time that the simulation spends inside what the real trials spanned",
+                + "share of time that the simulation spends within the spread of the real trials",
                 _bar(first.joint),
             ),
             (
@@ -167,7 +167,8 @@ def summary(comparison: Comparison) -> Section:
         "How far",
         (KeyFigures(cards), Points((*words, *comparison.notes))),
         lead="Alikeness is the share of samples at which the simulation lies inside the tunnel of the repeated real "
-        "trials. What can be expected is what the rig reaches against itself, one trial in the tunnel of the others.",
+        "trials. It can be expected to reach what the rig reaches against itself, one trial in the tunnel of the "
+        "others.",
     )
 
 
@@ -182,7 +183,7 @@ def tunnels(comparison: Comparison) -> Section:
         blocks,
         lead=f"The band is the tunnel of {comparison.real.count} real trial{'s' * (comparison.real.count > 1)}."
         f"{smoothed} Below, the same relative to the real mean, where the width can be seen. Red marks the time "
-        "outside. Drag to zoom, double-click to return; the values at the cursor stand below.",
+        "outside. Drag to zoom, double-click to return; the values at the cursor are shown below.",
     )
 
 
@@ -253,11 +254,11 @@ def over_k(comparison: Comparison) -> Section:
                 ("signal", *(f"k = {k:g}" for k in ks)),
                 rows,
                 numeric=range(1, len(ks) + 1),
-                caption=f"Samples that one side never saw are left out: {left_out}." if left_out else "",
+                caption=f"Samples that are missing on one side are left out: {left_out}." if left_out else "",
             ),
         ),
         lead="How much wider the real tunnel would have to be for the simulation to fit. A curve that starts as high "
-        "as the rig against itself is a close model; one that rises late is off by several times what the rig varies.",
+        "as the rig against itself is a close model; one that rises late is off by several times the rig's own spread.",
     )  # fmt: skip
 
 
@@ -290,9 +291,9 @@ def where_it_fails(comparison: Comparison) -> Section:
         if rows and len({m.group for m in rows}) > 1:
             blocks.append(_table(rows, f"By {kind}", folded=True))
     lead = "The simulation stays inside every tunnel." if not spans else (
-        f"{len(spans)} span{'s' * (len(spans) > 1)} outside at k = {comparison.alikeness[0].k_real:g}. A group with a "
-        "larger share of the squared error than of the time is where to look. The rig's repeat spread is the RMS of "
-        "its trials about their mean."
+        f"{len(spans)} span{'s' * (len(spans) > 1)} outside at k = {comparison.alikeness[0].k_real:g}. Look first at "
+        "groups with a larger share of the squared error than of the time. The rig's repeat spread is the RMS of its "
+        "trials about their mean."
     )  # fmt: skip
     return Section("Where it fails", blocks, lead=lead)
 

@@ -52,7 +52,7 @@ def verdict(diagnosis: Diagnosis) -> Section:
             caption=f"The stated set is the smallest that has {v.coverage:.0%} of the probability.",
         ),
         Table(
-            ("model", "E (equation 10)", "on what was not fitted", "alike, k = 1", "the rig against itself"),
+            ("model", "E (equation 10)", "on held-out data", "alike, k = 1", "the rig against itself"),
             [
                 (
                     name,
@@ -108,7 +108,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
         rows.append(("something unknown", percent(axis.ranking.unknown), "", "", ""))
         blocks.append(
             Table(
-                ("hypothesis", "probability", "explains", "misfit left", "on stretches left out"),
+                ("hypothesis", "probability", "explains", "misfit left", "on held-out stretches"),
                 rows,
                 numeric=(1, 3, 4),
                 caption="Misfit: mean square in units of the noise floor; 1 is what a perfect model leaves. Explains: "
@@ -123,7 +123,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
             (name, effect.physics),
             ("what it looks like", effect.mark),
             ("could be mistaken for", ", ".join(effect.confused_with)),
-            ("told apart by", effect.separated_by),
+            ("distinguished by", effect.separated_by),
         ]
     if facts:
         blocks.append(Facts(facts))
@@ -147,7 +147,7 @@ def evidence(diagnosis: Diagnosis) -> Section:
         for label, x in (
             (f"measured {'angle' if before.real.units[i] == 'rad' else 'place'} in {unit}", factor * real),
             (f"measured speed in {unit}/s", factor * speed),
-            ("time since the command turned round in s", _since_reversal(before.real, signal)),
+            ("time since the command reversed in s", _since_reversal(before.real, signal)),
             ("time in s", before.real.time),
         ):
             blocks.append(_chart(signal, label, np.asarray(x), left[0], left[1], unit, bool(diagnosis.verdict.effects)))

@@ -64,9 +64,9 @@ def curve(proposal: Proposal) -> list[Block]:
     label = f"What is missing over {name}, without a formula"
     return [
         Chart(by * x, [line], f"{name} in {over}" if over else name, f"missing, {unit}", label,
-              "With the 90 % interval. Friction counts against the motion."),
+              "With the 90 % interval. Friction is counted against the motion."),
         Table((f"{name}, {over}" if over else name, f"missing, {unit}"), rows, numeric=(0, 1), folded=True,
-              caption="What is missing over its variable, without a formula. Friction counts against the motion."),
+              caption="What is missing over its variable, without a formula. Friction is counted against the motion."),
     ]  # fmt: skip
 
 
@@ -105,7 +105,7 @@ def others(proposal: Proposal) -> list[Block]:
     for offset in proposal.offsets:
         factor, unit = shown_unit(offset.unit)
         time, values, band = (np.concatenate(part) for part in (offset.time, offset.offset, offset.band))
-        what = f"offset of {offset.signal}, were it alone to blame"
+        what = f"offset of {offset.signal}, if it alone were wrong"
         size = float(np.sqrt(np.mean(values**2)))
         rows.append((what, shown_value(size, offset.unit), *_floors(offset.floors)))
         lines = [("missing offset", factor * values, "sim", factor * band)]

@@ -24,8 +24,8 @@ def law(proposal: Proposal) -> Section:
         Table(
             ("variable", "period", "predicts", "more than chance"),
             rows,
-            caption="Predicts: share of the misfit in stretches of time that were left out, with a 90 % interval. By "
-            f"chance variables that were moved in time predict up to {max(found.chance, 0.0):.0%}.",
+            caption="Predicts: share of the misfit in held-out stretches of time, with a 90 % interval. By "
+            f"chance, variables that were shifted in time predict up to {max(found.chance, 0.0):.0%}.",
         ),
     ]
     blocks += [*law_charts.forces(missing, proposal.position_unit), *law_charts.trials(proposal)]
@@ -49,7 +49,7 @@ def law(proposal: Proposal) -> Section:
     if len(proposal.tried) > 1:
         blocks.append(
             Table(
-                ("terms, refitted in roll-outs", "floors left where left out"),
+                ("terms, refitted in roll-outs", "floors left on held-out data"),
                 [(form, shown_number(floors)) for form, floors in proposal.tried.items()],
                 numeric=(1,),
             )

@@ -211,13 +211,13 @@ def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
 
 
 def staircase_picture(steps: Sequence[tuple[str, float]], floor: float, unit: str = "rad") -> Figure:
-    """Error after each step (name, in `unit`) against what the rig itself does not repeat."""
+    """Error after each step (name, in `unit`) against the rig's own repeat error."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 2.8), layout="constrained")
         axes = figure.subplots()
         factor, shown = shown_unit(unit)
         axes.bar(range(len(steps)), [factor * error for _, error in steps], color=SIM_COLOUR, width=0.6)
-        axes.axhline(factor * floor, color=REAL_COLOUR, ls="--", lw=1, label="what the rig itself does not repeat")
+        axes.axhline(factor * floor, color=REAL_COLOUR, ls="--", lw=1, label="the rig's own repeat error")
         axes.set_xticks(range(len(steps)), [name for name, _ in steps])
         axes.set(ylabel=f"error E in {shown}", axisbelow=True)
         axes.legend(frameon=False)

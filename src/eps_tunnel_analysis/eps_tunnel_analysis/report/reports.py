@@ -79,13 +79,13 @@ def compare_report(
 
 
 def _recordings(checked: Sequence[str]) -> list[Section]:
-    """What should be seen to, and, to unfold, all else that the check of the recordings says; none without one."""
+    """What needs attention, and, folded, all other findings of the check of the recordings; none without a check."""
     serious = [line.removeprefix("! ") for line in checked if line.startswith("! ")]
     rest = [line for line in checked if not line.startswith("! ")]
     blocks: list[Block] = [Points(serious)] if serious else []
-    told = "What else was found" if serious else "Nothing that must be seen to; what was found"
-    blocks += [Points(rest, f"{told}, in {len(rest)} sentence{'s' * (len(rest) > 1)}")] if rest else []
-    return [Section("What the recordings can tell", blocks)] if blocks else []
+    others = "Other findings" if serious else "Nothing needs attention; findings"
+    blocks += [Points(rest, f"{others}, in {len(rest)} sentence{'s' * (len(rest) > 1)}")] if rest else []
+    return [Section("What the recordings can identify", blocks)] if blocks else []
 
 
 def _trials(count: int) -> str:

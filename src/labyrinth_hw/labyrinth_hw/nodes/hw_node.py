@@ -60,8 +60,10 @@ class HwNode(LifecycleNode):
             "command_timeout", 0.2, "age at which a motor's command is old [s]", 0.02, 5.0, changes=True
         )
         patience = self._declare("connect_timeout", 5.0, "how long to wait for the ports to appear [s]", 0.0, 600.0)
-        self._autostart = self._declare("autostart", True, "configure at start; else a lifecycle manager does [-]")
-        self._arm_at_start = self._declare("arm", False, "activate at start, so that commands are obeyed [-]")
+        self._autostart = self._declare(
+            "autostart", True, "configure at start; otherwise a lifecycle manager does it [-]"
+        )
+        self._arm_at_start = self._declare("arm", False, "activate at start, so that commands are executed [-]")
         silence = self._declare(
             "disarm_after", 60.0, "silence after which the node deactivates itself; 0: never [s]", 0.0, 86400.0,
             changes=True,
@@ -268,7 +270,7 @@ class HwNode(LifecycleNode):
             if len(message.name) != len(message.position):
                 raise InputError(f"{len(message.name)} names but {len(message.position)} positions.")
             if age > self._timeout:
-                raise InputError(f"Its stamp is {age:.3f} s old; more than {self._timeout:g} s is too late to obey.")
+                raise InputError(f"Its stamp is {age:.3f} s old; more than {self._timeout:g} s is too late.")
             if age < -self._timeout:
                 raise InputError(
                     f"Its stamp is {-age:.3f} s ahead of this node's clock; expected {self._timeout:g} s at most. "

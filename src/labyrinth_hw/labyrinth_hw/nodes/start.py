@@ -24,7 +24,7 @@ def start_ros(program: str, about: str, words: Sequence[str]) -> None:
     """
     own = list(words)[: list(words).index("--ros-args") if "--ros-args" in words else len(words)]
     if "-h" in own or "--help" in own:
-        print(f"{program}: {about} {EXPECTED} docs/reference.md and `ros2 param describe` tell the parameters.")
+        print(f"{program}: {about} {EXPECTED} docs/reference.md and `ros2 param describe` list the parameters.")
         raise SystemExit(0)
     if own:
         refuse(program, f"Unknown argument '{own[0]}'.")

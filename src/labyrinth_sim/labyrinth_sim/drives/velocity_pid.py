@@ -93,8 +93,8 @@ def full(values: Mapping[str, float]) -> float:
 DRIVE = Drive(
     name="velocity_pid",
     title="Speed servo under a PID law on the angle",
-    physics="The servo turns at the speed that a PID law on the angle's error asks for, as far as its torque suffices, "
-    "of which back-EMF takes a share that grows with the speed.",
+    physics="The servo turns at the speed set by a PID law on the angle's error, as far as its torque suffices; "
+    "back-EMF takes a share of the torque that grows with the speed.",
     equation="v = P e + I sum(e_k dt_k) + D (e - e 10 ms before); "
     "torque = clip(G (v - speed), -M min(1, 1 + b speed), M min(1, 1 - b speed)), b = back_emf",
     parameters=(

@@ -22,7 +22,7 @@ function connect() {
   socket.onclose = () => {
     const away = document.getElementById("away");
     away.hidden = false;
-    away.textContent = "The monitor does not answer. Connecting again…";
+    away.textContent = "The monitor does not answer. Reconnecting…";
     fetch("/static/icon.svg", { cache: "no-store" }).then((answer) => {
       if (answer.status === 403) away.textContent = "The monitor runs with another token. Open the address that it printed.";
     }, () => {});
@@ -93,7 +93,7 @@ function draw() {
 
 export function ask(request) {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(request));
-  else showNotice("Not connected; nothing was asked.");
+  else showNotice("Not connected; nothing was sent.");
 }
 
 function again() {

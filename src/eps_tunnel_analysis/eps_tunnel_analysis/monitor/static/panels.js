@@ -50,7 +50,7 @@ export function showControls({ connections: there, job, run, verdict, rig }) {
   for (const id of ["what-if-name", "what-if-value"]) element(id).disabled = job.kind === "play";
   element("stop").disabled = !busy;
   const missing = PARTS.filter(([key]) => !there[key]).map(([, name]) => name.toLowerCase());
-  element("hint").textContent = missing.length ? `Not there: ${missing.join(", ")}.` : !there.armed && !busy ? "Arm the rig to play: it will move." : "";
+  element("hint").textContent = missing.length ? `Not running: ${missing.join(", ")}.` : !there.armed && !busy ? "Arm the rig to play: it will move." : "";
   const panel = element("job"), meter = panel.querySelector(".meter"), words = panel.querySelector("p");
   panel.hidden = !busy;
   if (!busy) return;
@@ -81,7 +81,7 @@ export function showVerdict(told, si) {
   const more = element("verdict-more");
   const [given, refitted, after] = told.held_out;
   const errors = [[given, "as given"], [refitted, "with values refitted"], [told.effects.length ? after : null, "with the effect"]].filter(([v]) => v !== null);
-  const lines = errors.length ? [`Error on samples kept from the fit: ${errors.map(([v, when]) => `${inWords(v, si)} ${when}`).join(", ")}.`] : [];
+  const lines = errors.length ? [`Error on held-out samples: ${errors.map(([v, when]) => `${inWords(v, si)} ${when}`).join(", ")}.`] : [];
   const where = told.where.filter(([signal]) => signal !== "jointly").sort((a, b) => (b[2] - b[1]) - (a[2] - a[1])).slice(0, 3);
   if (where.length) lines.push(`Longest outside the tunnel, values refitted: ${where.map(([signal, start, end]) => `${signal} ${start.toFixed(2)} to ${end.toFixed(2)} s`).join(", ")}.`);
   if (told.next_experiment) lines.push("Next: play the proposed sequence, the first in the list.");
@@ -140,8 +140,8 @@ const MOST_TROUBLED = 0.02; // share of late and lost samples from which a banne
 export function showHealth(h) {
   const banner = element("troubled");
   banner.hidden = !(h.troubled > MOST_TROUBLED);
-  banner.textContent = `${percent(h.troubled)} of the latest samples came late or were lost: what is shown may be wrong. Look for a busy machine or a weak network.`;
-  const troubles = [["late", h.late], ["lost", h.lost], ["out of order", h.reordered], ["twice", h.duplicated], ["restarts", h.restarts], ["clock jumps", h.clock_jumps]];
+  banner.textContent = `${percent(h.troubled)} of the latest samples arrived late or were lost: the display may be wrong. Check for a busy machine or a weak network.`;
+  const troubles = [["late", h.late], ["lost", h.lost], ["out of order", h.reordered], ["duplicated", h.duplicated], ["restarts", h.restarts], ["clock jumps", h.clock_jumps]];
   const told = troubles.filter(([, n]) => n).map(([name, n]) => `${n} ${name}`);
-  element("health").textContent = `${h.received.toLocaleString("en")} samples came${told.length ? `; ${told.join(", ")}` : ", every one in its place"}.`;
+  element("health").textContent = `${h.received.toLocaleString("en")} samples received${told.length ? `; ${told.join(", ")}` : ", all in order"}.`;
 }

@@ -116,8 +116,8 @@ export class Tunnels {
       share.textContent = known && !table.collecting ? `${percent(gap.shares[this.drawn[i]][0])} alike${itself}` : "";
     });
     const band = table.collecting ? "Collecting: one real trial has no width yet, so nothing is judged."
-      : "The band is what the real trials spanned; red is where the simulation leaves it.";
-    element("tunnel-what").textContent = this.past ? `A trial gone by. ${band}` : this.supposed ? `Simulated anew with a value moved; dashed is the model as it is. ${band}` : run ? `${run.sequence}, trial ${run.trial + 1} of ${run.trials}. ${band}` : band;
+      : "The band is the spread of the real trials; red is where the simulation leaves it.";
+    element("tunnel-what").textContent = this.past ? `A past trial. ${band}` : this.supposed ? `Simulated with the changed value; dashed: the model as it is. ${band}` : run ? `${run.sequence}, trial ${run.trial + 1} of ${run.trials}. ${band}` : band;
     this.drawWhere();
   }
 
