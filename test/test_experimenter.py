@@ -66,7 +66,7 @@ class OfflineRig:
     def limit(self) -> float:
         return float(LIMIT)
 
-    def tell(self, content: Mapping[str, Any], report: Path) -> None:
+    def publish(self, content: Mapping[str, Any], report: Path) -> None:
         assert report.exists()
         self.told.append(content["verdict"])
 

@@ -18,7 +18,7 @@ def eps_tunnel_section() -> str:
     parts = [
         "## `eps-tunnel COMMAND`\n",
         "Also `ros2 run eps_tunnel_analysis eps_tunnel COMMAND`. Exit codes: 0 done; 1 the work failed; 2 bad input, "
-        "told on stderr; 130 Ctrl-C. With `--json` stdout holds the result only; progress goes to stderr.\n",
+        "explained on stderr; 130 Ctrl-C. With `--json` stdout holds the result only; progress goes to stderr.\n",
         f"### Options for reading bags\n\nThe same for {', '.join(map(code, shared))}.\n",
         options(group(commands[shared[0]], READING)),
     ]

@@ -186,12 +186,12 @@ def joint_against_itself(several: Sequence[Trials], ks: Iterable[float] = KS) ->
     factors = tuple(ks)
     seen, alike = 0.0, np.zeros(len(factors))
     for trials in several:
-        found = rig_against_itself(trials, factors)
+        itself = rig_against_itself(trials, factors)
         known: Mask = np.any(~np.isnan(trials.values), axis=0)  # (T, m)
         samples = float(np.all(known, axis=1).sum())
-        if found and samples:
+        if itself and samples:
             seen += samples
-            alike += samples * np.array([at.joint for at in found])
+            alike += samples * np.array([at.joint for at in itself])
     return dict(zip(factors, (alike / seen if seen else alike + math.nan).tolist(), strict=True))
 
 

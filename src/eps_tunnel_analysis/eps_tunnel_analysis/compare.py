@@ -26,7 +26,7 @@ from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Trials
 
-TRIM = 0.5  # s by which one side may be longer; the rest of it is left out and told
+TRIM = 0.5  # s by which one side may be longer; the rest of it is left out, with a note
 
 
 JOINTLY = "jointly"

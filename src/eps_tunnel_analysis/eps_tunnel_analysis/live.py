@@ -385,10 +385,10 @@ class LiveGap:
         if mark.sequence_hash not in self._references:
             return []
         trials = self._references[mark.sequence_hash].select(signals)
-        found = np.full((trials.count, len(time), len(signals)), np.nan)
+        values = np.full((trials.count, len(time), len(signals)), np.nan)
         shared = min(len(time), len(trials.time))
-        found[:, :shared] = trials.values[:, :shared]
-        return list(found)
+        values[:, :shared] = trials.values[:, :shared]
+        return list(values)
 
     def _begin_early(self) -> list[Judged]:
         """Begins the trials whose marks came too early, once the samples around their start are there."""
@@ -403,7 +403,7 @@ class LiveGap:
         return judged
 
     def _signals_of(self, side: str, mark: TrialMark) -> tuple[str, ...]:
-        """What is compared in a trial; empty while nothing was measured that could tell."""
+        """What is compared in a trial; empty until something was measured."""
         if not any(stream.recent for stream in self._streams[side].values()):
             return ()
         command = self._commands.get(mark.sequence_hash)
@@ -483,7 +483,7 @@ class LiveGap:
         return [Judged(real, sim.mean, alike.copy(), stamp)]
 
     def _judge_all(self, command: _Command) -> None:
-        """Judges anew what the finished trials tell; the samples of a running trial are in it as far as they came."""
+        """Judges the finished trials again; the samples of a running trial are included as far as they came."""
         command.seen[:] = False
         command.alike[:] = False
         self._judge(command, slice(0, len(command.time)))

@@ -30,7 +30,7 @@ MEANING = {
 MOVING = ("moving", "reversal")
 LENGTHS = ("m", "m/s")
 CROSSWISE = dict(zip(BALL_SIGNALS, BALL_SIGNALS[::-1], strict=True))
-EXCESS = 0.05  # error share beyond the time share from which a phase is told
+EXCESS = 0.05  # error share beyond the time share from which a phase is reported
 NO_RANGE = 1e-9  # SI units; a signal with a smaller range stands still, and its error is taken as it is
 NOWHERE = "Nowhere beyond what the rig itself repeats."
 MOST_AMPLITUDES = 6  # more than these are put into as many equal classes
@@ -115,7 +115,7 @@ def phases(time: Array, command: Array, before: float = np.nan) -> Phases:
 def target_before(time: Array, command: Array, measured: Array) -> float:
     """The target in rad until time zero, of a command (T,) that begins with a step; NaN where it does not.
 
-    Trials begin with their first command, so that only the joint (T,) tells where it came from: it starts elsewhere,
+    Trials begin with their first command, so that only the joint (T,) shows where it came from: it starts elsewhere,
     and goes to the target.
     """
     if not (len(time) and np.isfinite(command[0]) and np.isfinite(measured[0])):

@@ -179,7 +179,7 @@ class Study:
         return StudyGap(replace(comparison, notes=notes), sides.facts, sides.model, step, sides.checked)
 
     def check(self, progress: bool = True) -> "Check":
-        """What the recordings are like and which values and effects they can tell, before anything is fitted.
+        """Quality of the recordings and which values and effects they can identify, before anything is fitted.
 
         Raises:
             InputError: as `recorded`.
@@ -199,8 +199,8 @@ class Study:
 
         recorded = self.recorded
         with rollout_progress("bar" if progress else "none") as show:
-            found = diagnose_recorded(recorded, self._options, DiagnosisRun(show, propose=True))
-        return StudyReason(found.diagnosis, recorded, self.real, found.proposal, found.checked)
+            diagnosed = diagnose_recorded(recorded, self._options, DiagnosisRun(show, propose=True))
+        return StudyReason(diagnosed.diagnosis, recorded, self.real, diagnosed.proposal, diagnosed.checked)
 
     def calibrate(
         self,
@@ -364,7 +364,7 @@ class StudyReason(_InNotebook):
         recorded: what was diagnosed.
         real: bags as they were named.
         proposal: where the verdict is "unknown", a law of its own.
-        checked: what the recordings are like and can tell.
+        checked: quality of the recordings and what they can identify.
     """
 
     diagnosis: "Diagnosis"
@@ -413,8 +413,8 @@ class StudyReason(_InNotebook):
 
         refuse_existing(Path(folder))
         name = str(self.recorded.model.path or self.recorded.model.name)
-        found = Findings(self.diagnosis, self.recorded, self.proposal, self.checked)
-        return write_reason(found, Path(folder), self.real, name).report
+        findings = Findings(self.diagnosis, self.recorded, self.proposal, self.checked)
+        return write_reason(findings, Path(folder), self.real, name).report
 
     def _print(self, out: Console) -> None:
         print_verdict(self.verdict, self.recorded.notes, out, self.recorded.model.rig.position_unit)

@@ -141,7 +141,7 @@ def test_three_numbers_open_the_page_and_the_third_says_so_where_it_is_unknown(t
     assert f"{shown_value(before.errors[0].command_error, 'rad')} before" in error[2]
     assert alike[0] == shown_share(after.alikeness[0].joint)
     assert rig[0] == (shown_share(after.against_itself[0].joint) if trials > 2 else "–")
-    assert ("Three trials" in rig[2]) == (trials < 3)
+    assert ("three trials" in rig[2]) == (trials < 3)
 
 
 def test_before_and_after_stand_side_by_side_on_one_scale():

@@ -60,8 +60,8 @@ class YamlFile:
 
 def folders(kind: str) -> tuple[Path, ...]:
     """Existing folders that hold files of this kind ("hw", "testbed"), the first to be searched first."""
-    found = {folder.resolve(): None for folder in _candidates(kind) if folder.is_dir()}
-    return tuple(found)
+    existing = {folder.resolve(): None for folder in _candidates(kind) if folder.is_dir()}
+    return tuple(existing)
 
 
 def _candidates(kind: str) -> Iterator[Path]:

@@ -21,7 +21,7 @@ from labyrinth_hw.config import Number, Section, write_new
 from labyrinth_hw.errors import InputError
 
 DARK = 6.0  # grey levels added to every channel, below which a tint is noise
-LEAST = 0.3  # difference of the tints, below which marble and wood cannot be told apart
+LEAST = 0.3  # difference of the tints, below which marble and wood cannot be distinguished
 REACH = 3  # px around the click that are looked at
 DIM, LIT = 0.35, 0.65  # of the marble's brightness: below is a hole or a shadow, above its lit side
 

@@ -84,10 +84,10 @@ def _rows(value: object) -> Iterator[tuple[str, str]]:
 def _documented(cls: type[Any]) -> Mapping[str, str]:
     """Field -> the first words that the class's docstring has under "Attributes:"."""
     _, _, listed = (inspect.getdoc(cls) or "").partition("Attributes:")
-    found = {}
+    meanings = {}
     for names, text in re.findall(r"^ +([a-z]\w*(?:, \w+)*): +(.+)$", listed, flags=re.MULTILINE):
-        found.update(dict.fromkeys(names.split(", "), re.split(r"[;,.](?: |$)(?![^(]*\))", text)[0]))
-    return found
+        meanings.update(dict.fromkeys(names.split(", "), re.split(r"[;,.](?: |$)(?![^(]*\))", text)[0]))
+    return meanings
 
 
 def _array(values: NDArray[Any], about: str) -> str:

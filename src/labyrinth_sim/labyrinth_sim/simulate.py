@@ -463,7 +463,7 @@ def through(chains: list[list[Filter]], block: Array) -> Array:
 
 
 def undone(plan: Plan, values: Values, given: Mapping[str, Array]) -> dict[str, Array]:
-    """Signal -> (nsim,): what was there, of what was seen, by the effects that can tell."""
+    """Signal -> (nsim,): what was there, from what was seen, by the effects that can invert it."""
     found = dict(given)
     for placed in reversed(plan.acting(values)):
         for signal, seen in found.items():

@@ -65,7 +65,7 @@ def folder_of(file: Path) -> Iterator[Path]:
         for folder in missing:
             try:
                 folder.rmdir()
-            except OSError:  # never made, or somebody uses it
+            except OSError:  # never made, or in use
                 break
         raise
 

@@ -48,27 +48,27 @@ def check_data(model: Model | None, plays: Sequence[Play], efforts: bool = True)
     """Everything about the recordings themselves.
 
     Args:
-        model: tells limits, units and what its drives can give; without one timing and repeats are left.
+        model: has limits, units and what its drives can give; without one, only timing and repeats are checked.
         efforts: whether efforts were to be read.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if model is None:
         trials = [trial for play in plays for trial in play.at_stamps]
         for name in trials[0].commands:
-            found += _timing(f"command {name}", [trial.commands[name] for trial in trials], commands=True)
+            findings += _timing(f"command {name}", [trial.commands[name] for trial in trials], commands=True)
         for name in trials[0].signals:
-            found += _timing(name, [trial.signals[name] for trial in trials])
-        return (*found, *_repeats(plays))
+            findings += _timing(name, [trial.signals[name] for trial in trials])
+        return (*findings, *_repeats(plays))
     unread = ("position", "torque") if efforts else ("position",)  # velocities are never compared
     for axis in model.rig.axes:
-        found += _commands(axis, plays)
+        findings += _commands(axis, plays)
         for measured in axis.measured:
             if all(measured.signal in play.trials.signals for play in plays):
-                found += _signal(model, axis, measured, plays)
+                findings += _signal(model, axis, measured, plays)
             elif measured.quantity in unread:
-                found.append(Finding(measured.signal, False, f"{measured.signal} was not read or not recorded."))
-    found += _repeats(plays)
-    return tuple(found)
+                findings.append(Finding(measured.signal, False, f"{measured.signal} was not read or not recorded."))
+    findings += _repeats(plays)
+    return tuple(findings)
 
 
 def sentences(findings: Sequence[Finding]) -> list[str]:

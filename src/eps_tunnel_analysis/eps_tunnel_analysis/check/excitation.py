@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What recorded commands excite: which values and which effects they can tell, from one batch of roll-outs.
+"""What recorded commands excite: which values and which effects they can identify, from one batch of roll-outs.
 
 An effect is tried at its typical strength. What it changes, in units of the noise floor, less what the free values can
 take up (the part of it in the span of their slopes), is what is seen of it; less what another effect can take up too,
-what tells it from that one.
+what distinguishes it from that one.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,13 +31,13 @@ LATE = 0.6  # share of a delay's bounds by which it is moved: as far as a typica
 VISIBLE = 3.0  # floors, of an effect that is seen without doubt
 PRECISE, ROUGH = 0.2, 1.0  # 95 % interval over the value itself, up to which it is identifiable, weak
 LEAST_SIZE = 0.05  # share of the bounds' span that a value near 0 is weighed against
-ALIKE = 0.97  # correlation of two values' errors from which they cannot be told apart
+ALIKE = 0.97  # correlation of two values' errors from which they cannot be separated
 SAME = 0.999  # share of two values' effects in common, from which they are one: a mass, and an armature that slides
 
 
 @dataclass(frozen=True)
 class Excited:
-    """What is told of one value or effect.
+    """The result for one value or effect.
 
     Attributes:
         name: full parameter name, or effect.place.
@@ -47,7 +47,7 @@ class Excited:
         figure: of a value the 95 % half-width to expect, in its unit; of an effect the mean square in floors that the
             values cannot take up.
         unit: of the figure; "floors" for an effect.
-        confounded: what it cannot be told from by these commands.
+        confounded: what it cannot be distinguished from by these commands.
         mend: what to play, "" where nothing is to be mended.
     """
 
@@ -68,11 +68,11 @@ def excitation(
     nthread: int = 0,
     progress: Callable[[str, int], None] | None = None,
 ) -> tuple[Excited, ...]:
-    """What the plays' commands can tell of each free value and of each effect that the model does not have.
+    """What the plays' commands can identify of each free value and of each effect that the model does not have.
 
     Args:
         only: names of effects to try; all by default.
-        progress: told how many roll-outs are made.
+        progress: called with the number of roll-outs made.
     """
     chosen = _some([without_ball(play) for play in plays])
     parts = axis_parts(model, chosen)
@@ -95,8 +95,8 @@ def excitation(
     seen = evidence(np.array(rows))
     changes = np.nan_to_num((seen[1:] - seen[0]) / evidence.floor)
     slopes, strengths = changes[: len(base)], changes[len(base) :]
-    found = list(_values(base, slopes, infos, parts, model, chosen))
-    return (*found, *_effects(lib.candidates, strengths, slopes, evidence, parts))
+    excited = list(_values(base, slopes, infos, parts, model, chosen))
+    return (*excited, *_effects(lib.candidates, strengths, slopes, evidence, parts))
 
 
 def _some(plays: Sequence[Play]) -> list[Play]:
@@ -133,7 +133,7 @@ def _values(
     base: Sequence[str], slopes: Array, infos: dict[str, ParameterInfo], parts: Sequence[AxisPart], model: Model,
     plays: Sequence[Play],
 ) -> list[Excited]:  # fmt: skip
-    found = []
+    excited = []
     for part in parts:
         own = [i for i, name in enumerate(base) if name in part.base]
         if not own:
@@ -160,8 +160,8 @@ def _values(
             alike = [base[own[j]] for j in others if abs(correlation[k, j]) > ALIKE or base[own[j]] in same]
             alike = alike if answer != "identifiable" else []
             mend = "" if answer == "identifiable" else livelier(part.name, model, plays)
-            found.append(Excited(info.name, part.name, "value", answer, half, info.unit, tuple(alike), mend))
-    return found
+            excited.append(Excited(info.name, part.name, "value", answer, half, info.unit, tuple(alike), mend))
+    return excited
 
 
 def livelier(axis: str, model: Model, plays: Sequence[Play]) -> str:
@@ -194,7 +194,7 @@ def livelier(axis: str, model: Model, plays: Sequence[Play]) -> str:
 def _effects(
     candidates: Sequence[Candidate], strengths: Array, slopes: Array, evidence: Evidence, parts: Sequence[AxisPart]
 ) -> list[Excited]:
-    found: list[Excited] = []
+    excited: list[Excited] = []
     rank = np.linalg.svd(slopes.T, full_matrices=False) if len(slopes) else None
     if rank is not None:
         left, sizes, _ = rank
@@ -219,5 +219,5 @@ def _effects(
             )
             answer: Answer = "no" if not visible else "weak" if confounded or seen < VISIBLE else "identifiable"
             mend = "" if answer == "identifiable" else candidates[i].effect.separated_by
-            found.append(Excited(candidates[i].name, part.name, "effect", answer, seen, "floors", confounded, mend))
-    return found
+            excited.append(Excited(candidates[i].name, part.name, "effect", answer, seen, "floors", confounded, mend))
+    return excited

@@ -68,15 +68,15 @@ def run(arguments: argparse.Namespace) -> None:
     then, now = recorded[THEN], recorded[NOW]
     with rollout_progress() as progress:
         options = SearchOptions(None, arguments.threads, progress)
-        found = changes(then.model, then.plays, now.plays, arguments.candidates, arguments.keep_values, options)
-        watched = found.named if found.outcome in ("changed", "undecided") else ()
-        dates = over_dates(found.model, {label: r.plays for label, r in recorded.items()}, watched, run=options)
+        changed = changes(then.model, then.plays, now.plays, arguments.candidates, arguments.keep_values, options)
+        watched = changed.named if changed.outcome in ("changed", "undecided") else ()
+        dates = over_dates(changed.model, {label: r.plays for label, r in recorded.items()}, watched, run=options)
     content = {
         "command": NAME,
         "model": then.model.name,
         "sources": {label: [[str(path), digest] for path, digest in r.bags] for label, r in recorded.items()},
         "made": [list(fact) for fact in circumstances()],
-        **found.to_json(),
+        **changed.to_json(),
         "dates": [date.to_json() for date in dates],
     }
     if arguments.out:
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
         from labyrinth_sim.model import save_model
 
         with new_folder(arguments.out) as folder:
-            save_model(found.model, folder / "then.yaml")
+            save_model(changed.model, folder / "then.yaml")
             (folder / "changes.json").write_text(json_text(content), encoding="utf-8")
             _write_csv(folder / "dates.csv", dates)
             save_svg(dates_picture(dates), folder / "dates.svg")
@@ -92,16 +92,16 @@ def run(arguments: argparse.Namespace) -> None:
         print(json_text(content), end="")
         return
     out = console()
-    out.print(found.sentence, style="bold", soft_wrap=True, markup=False)
-    for value in found.values:
+    out.print(changed.sentence, style="bold", soft_wrap=True, markup=False)
+    for value in changed.values:
         out.print(value.sentence, soft_wrap=True, markup=False)
-    rows = [(name, f"{p:.1%}", "*" if name in found.stated else "") for name, p in found.set.items() if p >= 0.001]
+    rows = [(name, f"{p:.1%}", "*" if name in changed.stated else "") for name, p in changed.set.items() if p >= 0.001]
     table(out, "Hypotheses", ("what changed", "probability", "in the stated set"), rows)
-    paired, plays = found.paired
+    paired, plays = changed.paired
     if paired < plays:
         out.print(f"{plays - paired} of {plays} commands were not played on both dates; for those, a change must stand "
                   "out from the model's error.", soft_wrap=True)  # fmt: skip
-    print_notes(out, (*then.notes, *now.notes, *found.notes))
+    print_notes(out, (*then.notes, *now.notes, *changed.notes))
     if arguments.out:
         out.print(f"Picture: {(arguments.out / 'dates.svg').resolve()}", soft_wrap=True)
 

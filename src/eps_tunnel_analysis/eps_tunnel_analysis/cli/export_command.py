@@ -53,5 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
     rows = [(p.name, p.where, p.how, f"{p.value:.5g}", p.unit) for p in exported.placements]
     table(console(), "Where each value went", ("value", "file", "by", "number", "unit"), rows, left=3)
     console().print(f"MJCF: {files['mjcf']}", soft_wrap=True)
-    told = f"Module: {files['module']}" if exported.module else "No module is needed: the controls are the targets."
-    console().print(told, soft_wrap=True)
+    module_note = (
+        f"Module: {files['module']}" if exported.module else "No module is needed: the controls are the targets."
+    )
+    console().print(module_note, soft_wrap=True)

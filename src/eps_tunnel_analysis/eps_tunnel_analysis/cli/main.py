@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """eps-tunnel COMMAND: finds the commands, parses, runs, and turns errors into words and exit codes; completes for TAB.
 
-0: done. 2: bad input, told on stderr. 130: Ctrl-C. 141: the reader of our output went away.
+0: done. 2: bad input, explained on stderr. 130: Ctrl-C. 141: the reader of our output is gone.
 """
 
 import argparse
@@ -153,16 +153,16 @@ def _named(kind: str) -> Completer:
 
 def effect_names(prefix: str, parsed_args: argparse.Namespace, **given: Any) -> list[str]:
     """Names of effects, which are those of their files; before a place, as `add-effect` wants it, with a dot."""
-    found: set[str] = set()
+    names: set[str] = set()
     spec = util.find_spec(EFFECTS)
     if spec is not None:
-        found |= {module.name for module in pkgutil.iter_modules(spec.submodule_search_locations)}
-    found |= {point.name for point in metadata.entry_points(group=EFFECTS)}
+        names |= {module.name for module in pkgutil.iter_modules(spec.submodule_search_locations)}
+    names |= {point.name for point in metadata.entry_points(group=EFFECTS)}
     folder = getattr(parsed_args, "effects", None) or os.environ.get("EPS_TUNNEL_EFFECTS")
     if folder:
-        found |= {file.stem for file in Path(folder).glob("[!_]*.py")}
+        names |= {file.stem for file in Path(folder).glob("[!_]*.py")}
     dot = "." if getattr(parsed_args, "command", "") == "add-effect" else ""
-    return sorted(f"{name}{dot}" for name in found if name.startswith(prefix))
+    return sorted(f"{name}{dot}" for name in names if name.startswith(prefix))
 
 
 def _subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:

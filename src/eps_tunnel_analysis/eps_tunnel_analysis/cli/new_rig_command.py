@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> None:
         made = new_rig(
             robot, read_all(paths), folder, dict(arguments.match), arguments.position_unit, arguments.effort_unit, ticks
         )
-        load_model(made.model)  # whatever is wrong is told before the folder takes its name
+        load_model(made.model)  # errors are raised before the folder gets its name
     model = arguments.out / "model.yaml"
     if not arguments.bag:
         paths = [arguments.out / "bags" / path.name for path in paths]

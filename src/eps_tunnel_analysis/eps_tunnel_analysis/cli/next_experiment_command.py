@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""next-experiment: what to play next, to know values better or to tell effects apart."""
+"""next-experiment: what to play next, to narrow values or to distinguish effects."""
 
 import argparse
 import math
@@ -68,18 +68,18 @@ def _for_values(arguments: argparse.Namespace, out: Path) -> None:
         model, plays, notes = recorded.model, recorded.plays, recorded.notes
     else:
         model, plays, notes = load_model(arguments.model, arguments.effects), (), ()
-    found = value_experiment(model, plays, arguments.free, arguments.seconds, arguments.threads)
+    designed = value_experiment(model, plays, arguments.free, arguments.seconds, arguments.threads)
     linear = [axis.command for axis in model.rig.axes if axis.slides]
-    write_new(out, found.to_yaml(linear))
+    write_new(out, designed.to_yaml(linear))
     if arguments.json:
-        print(json_text({"command": NAME, "file": str(out), **found.to_json()}), end="")
+        print(json_text({"command": NAME, "file": str(out), **designed.to_json()}), end="")
         return
-    _print(found)
+    _print(designed)
     print_notes(console(), notes)
-    print_next(console(), f"Next: play {out}, {found.command.duration:g} s. Its commands:", play_command(out))
+    print_next(console(), f"Next: play {out}, {designed.command.duration:g} s. Its commands:", play_command(out))
 
 
-def _print(found: "ValueExperiment") -> None:
+def _print(designed: "ValueExperiment") -> None:
     rows = [
         (
             v.name,
@@ -88,10 +88,10 @@ def _print(found: "ValueExperiment") -> None:
             f"± {shown_number(v.after, 2)}",
             v.unit,
         )
-        for v in found.values
+        for v in designed.values
     ]
     table(console(), "Expected intervals, 95 %", ("value", "now", "known to", "with the play", "unit"), rows)
-    for axis, names in found.pieces.items():
+    for axis, names in designed.pieces.items():
         console().print(f"{axis}: {', '.join(names)}", soft_wrap=True, markup=False)
 
 

@@ -170,7 +170,7 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
     """The effects to add, and why, where that is not the verdict itself; none where nothing should be added.
 
     Of an undecided verdict: what all stated sets share; if they share nothing, the simplest of them, for a set that no
-    recording at hand can tell from another does no harm. Nothing where "nothing missing" is among them.
+    recording at hand can distinguish from another does no harm. Nothing where "nothing missing" is among them.
     """
     if verdict.verdict == "effect":
         return verdict.effects, ""
@@ -302,7 +302,7 @@ class Experimenter:
             run = DiagnosisRun(progress, limit, levels or None, propose)
             reason = diagnose_bags(model, real, folder, self.plan.search, run)
         if self.rig:
-            self.rig.tell(reason.content, reason.report)
+            self.rig.publish(reason.content, reason.report)
         return reason
 
     def _experiment(self, reason: Reason, model: Model) -> Played | None:

@@ -47,7 +47,7 @@ class PlayableRig(Protocol):
     def limit(self) -> float:
         """The largest angle, rad, that may be commanded."""
 
-    def tell(self, content: Mapping[str, Any], report: Path) -> None:
+    def publish(self, content: Mapping[str, Any], report: Path) -> None:
         """Makes a verdict known, as diagnosis.json holds it."""
 
 

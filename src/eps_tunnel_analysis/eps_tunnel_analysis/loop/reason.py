@@ -107,7 +107,7 @@ def diagnose_bags(
 
 
 def check_recorded(recorded: Recorded, options: DiagnosisOptions, progress: RolloutProgress | None = None) -> Check:
-    """What recordings are like and can tell, before anything is fitted."""
+    """Quality of recordings and what they can identify, before anything is fitted."""
     return check(recorded.model, recorded.plays, recorded.notes, options.candidates, options.threads, progress)
 
 
@@ -131,11 +131,11 @@ def diagnose_recorded(
     return Findings(diagnosis, recorded, proposal, checked)
 
 
-def write_reason(found: Findings, folder: Path, real: Sequence[Path], model: str) -> Reason:
+def write_reason(findings: Findings, folder: Path, real: Sequence[Path], model: str) -> Reason:
     """Writes a diagnosis into a new folder; arguments as in `write_diagnosis`. Raises InputError: it exists."""
     with new_folder(folder) as partial:
-        content = write_diagnosis(partial, folder, found, real, model)
-    return Reason(found.diagnosis, found.recorded, content, folder, found.proposal)
+        content = write_diagnosis(partial, folder, findings, real, model)
+    return Reason(findings.diagnosis, findings.recorded, content, folder, findings.proposal)
 
 
 def add_to_model(

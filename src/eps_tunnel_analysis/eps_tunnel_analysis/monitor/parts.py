@@ -42,7 +42,7 @@ class RigPart:
         reach: rad, or m where it slides, the largest target of any axis.
         tilt: signals of the board's turn about its x and its y axis; None without a floor.
         floor: None without a ball.
-        unit: in which errors of the rig's positions are told, rad or m.
+        unit: unit in which errors of the rig's positions are given, rad or m.
         units: SI unit of each signal.
     """
 
@@ -65,7 +65,7 @@ class Choices:
 
 @dataclass(frozen=True)
 class Connections:
-    """Who is there. model: what the simulation runs, as it says; file: its path, "" where it tells none."""
+    """Which nodes run. model: what the simulation runs, as it reports; file: its path, "" if it reports none."""
 
     real: bool
     sim: bool
@@ -179,10 +179,10 @@ class Staircase:
 
 @dataclass(frozen=True)
 class Job:
-    """Work under way: kind "play", "diagnose" or "add", "" for none; told in words; seconds since it began."""
+    """Work under way: kind "play", "diagnose" or "add", "" for none; progress in words; seconds since it began."""
 
     kind: str
-    told: str
+    progress: str
     seconds: float
 
 
@@ -217,7 +217,7 @@ class WhatIfPart:
     Attributes:
         name, unit: of the value; "" where none is moved.
         value, given: as asked for, and as the model has it.
-        told: the recorded command.
+        command: the recorded one.
         gap: with the value; None where none is moved.
         before: of the model as it is.
         number: of the trajectories that belong to it, see `State.show_what_if`.
@@ -227,7 +227,7 @@ class WhatIfPart:
     unit: str = ""
     value: float = 0.0
     given: float = 0.0
-    told: str = ""
+    command: str = ""
     gap: GapPart | None = None
     before: Before | None = None
     number: int = 0

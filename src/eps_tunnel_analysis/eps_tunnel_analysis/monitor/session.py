@@ -43,7 +43,7 @@ from eps_tunnel_analysis.monitor.state import (
     TUNNEL_TRIALS,
     State,
     Steps,
-    told_rows,
+    table_rows,
 )
 from eps_tunnel_analysis.outputs import numbered_folder, shown_number
 from eps_tunnel_analysis.processes import CommandResult
@@ -160,7 +160,7 @@ class RigAccess(Protocol):
         """Has the simulation run a model; `Session.loaded` is called with the answer."""
 
     def publish(self, verdict: dict[str, Any], report: str) -> None:
-        """Tells everybody the content of a diagnosis.json."""
+        """Publishes the content of a diagnosis.json and sends it to all pages."""
 
 
 class Session:
@@ -299,9 +299,9 @@ class Session:
         # A path that came over the wire is not looked up: what is offered is all there is.
         if request.sequence not in self._offered:
             raise InputError(unknown_name("sequence", request.sequence, self._offered))
-        found = find_sequence(request.sequence)
-        self._sequence, self._began = found.name, time.monotonic()
-        self.progress(0, (request.trials or found.trials) * len(found.commands), "connecting", 0.0, 0.0, 0.0)
+        sequence = find_sequence(request.sequence)
+        self._sequence, self._began = sequence.name, time.monotonic()
+        self.progress(0, (request.trials or sequence.trials) * len(sequence.commands), "connecting", 0.0, 0.0, 0.0)
         self._reruns.end()
         self._rig.play(request.sequence, request.trials, self._new("play"))
 
@@ -353,12 +353,12 @@ class Session:
         sequences = []
         for name in (*self._experiments, *config.names("sequences")):
             try:
-                found = find_sequence(name)
+                sequence = find_sequence(name)
             except InputError as error:
                 self._state.note(str(error), "error")
                 continue
-            duration = sum(command.duration for command in found.commands)
-            sequences.append((name, found.description, found.trials, duration))
+            duration = sum(command.duration for command in sequence.commands)
+            sequences.append((name, sequence.description, sequence.trials, duration))
         self._offered = tuple(name for name, *_ in sequences)
         names = sorted(n for n, e in self._registry.effects.items() if not e.nameless)
         self._state.put(Choices(tuple(sequences), tuple(names)))
@@ -389,7 +389,7 @@ class Session:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """A value to move over some recordings; `turn` tells whether it was ended meanwhile."""
+    """A value to try on some recordings; `turn` says whether it was ended in the meantime."""
 
     bags: tuple[Path, ...]
     model: str
@@ -502,7 +502,7 @@ def _part(prepared: WhatIf, changed: WhatIfAnswer | None, wanted: _Wanted, numbe
 
 
 def _table(prepared: WhatIf, changed: WhatIfAnswer | None) -> dict[str, Any]:
-    """The trajectories as `TunnelTable.changes` tells them; beside the changed one that of the model as it is."""
+    """The trajectories in the format of `TunnelTable.changes`; with the changed one also that of the model as it is."""
     tunnel, shown = prepared.tunnel, changed or prepared.given
     values = np.full((*tunnel.mean.shape, 5), np.nan)
     values[..., :SIMULATED] = np.stack([tunnel.mean, *tunnel.bounds()], axis=-1)
@@ -514,5 +514,5 @@ def _table(prepared: WhatIf, changed: WhatIfAnswer | None) -> dict[str, Any]:
     inside = np.where(least.seen, judged, NOT_SEEN).astype(np.int8)
     return {
         "key": "what if", "signals": list(tunnel.signals), "step": tunnel.step, "duration": float(tunnel.time[-1]),
-        "whole": True, "rows": told_rows(range(len(tunnel.time)), values, inside),
+        "whole": True, "rows": table_rows(range(len(tunnel.time)), values, inside),
     }  # fmt: skip

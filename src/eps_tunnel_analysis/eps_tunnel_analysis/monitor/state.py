@@ -34,7 +34,7 @@ NOT_SEEN, OUTSIDE, INSIDE, COLLECTING = -1, 0, 1, 2
 TUNNEL_TRIALS = 2  # real trials from which a tunnel has a width
 PAST = 20  # trials that can be looked at again
 WINDOW = 10.0  # s over which samples that came late or were lost are counted
-DIGITS = 6  # decimals that are told; a microradian is finer than any screen
+DIGITS = 6  # decimals that are sent; a microradian is finer than any screen
 LOG_LENGTH = 30  # entries of the log
 FIRST = "as given"
 BY_HAND = "loaded by hand"
@@ -63,7 +63,7 @@ class TunnelTable:
         self._last = -1
 
     def start(self, key: str, duration: float) -> None:
-        """A trial of a command begins: `key` tells commands apart, `duration` in s, 0 where it makes no sense."""
+        """A trial of a command begins: `key` identifies the command, `duration` in s, 0 if it is not valid."""
         self._last, self._written = -1, False
         duration = duration if 0 < duration <= LONGEST_SHOWN else 0.0
         if key != self._key:
@@ -120,7 +120,7 @@ class TunnelTable:
         whole = self._began > seen
         if not len(rows) and not whole:
             return None
-        rows_now = told_rows(rows, self._values, self._alike)
+        rows_now = table_rows(rows, self._values, self._alike)
         return {
             "key": self._key, "signals": list(self._signals), "step": ROW_STEP, "duration": self._duration,
             "whole": whole, "rows": rows_now,
@@ -142,7 +142,7 @@ class TunnelTable:
             self._changed = np.concatenate([self._changed, np.full(more, -1, dtype=np.int64)])
 
 
-def told_rows(rows: Iterable[int], values: Array, inside: NDArray[np.int8]) -> list[list[Any]]:
+def table_rows(rows: Iterable[int], values: Array, inside: NDArray[np.int8]) -> list[list[Any]]:
     """[row, [mean, lower, upper, simulated, before, inside] of each signal] of some rows.
 
     Args:
@@ -201,7 +201,7 @@ class State:
             return self._past.get(number)
 
     def show_what_if(self, part: WhatIfPart, table: dict[str, Any] | None) -> None:
-        """Shows an answer; `table` holds its trajectories as `TunnelTable.changes` tells them, and its "number"."""
+        """Shows an answer; `table` holds its trajectories in the format of `TunnelTable.changes`, and its "number"."""
         with self._lock:
             self._what_if = table
             self._put(part)
@@ -235,7 +235,7 @@ class State:
 
 
 class _Locked:
-    """Lends the table while nobody else reads, and numbers the change."""
+    """Gives exclusive access to the table, and numbers the change."""
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -278,7 +278,7 @@ class Steps:
     """Follows the simulation's model and its gap.
 
     Attributes:
-        model, file: of the model that runs, as the simulation tells them; "" before.
+        model, file: of the running model, as the simulation reports them; "" before.
     """
 
     def __init__(self, state: State) -> None:
@@ -295,7 +295,7 @@ class Steps:
         self._next = (change, held_out)
 
     def runs(self, model: str, file: str, loads: str) -> bool:
-        """The simulation tells its model and how many it loaded so far; returns whether it is another than before."""
+        """The simulation reports its model and how many it has loaded; returns whether the model is a new one."""
         if (model, file, loads) == self._seen:
             return False
         first, self._seen = self._seen is None, (model, file, loads)
@@ -308,7 +308,7 @@ class Steps:
         if not first:
             with self._state.tunnel() as table:
                 table.new_model()
-        self._told()
+        self._publish()
         return True
 
     def trial_started(self) -> None:
@@ -334,15 +334,15 @@ class Steps:
         if self._steps and n and trials >= TUNNEL_TRIALS:
             smallest = min(range(n), key=lambda i: ks[i])
             self._steps[-1] = replace(self._steps[-1], live=self._gap.joint[smallest])
-            self._told()
+            self._publish()
 
     def diagnosed(self, held_out: float | None) -> None:
         """The running model's error on samples held out, in the rig's unit."""
         if self._steps:
             self._steps[-1] = replace(self._steps[-1], held_out=held_out)
-            self._told()
+            self._publish()
 
-    def _told(self) -> None:
+    def _publish(self) -> None:
         self._state.put(Staircase(tuple(self._steps)))
 
 

@@ -27,10 +27,12 @@ BETTER = 0.8  # of the first order's error, at most, for the second to be worth 
 FASTEST = 25.0  # 1/s, of velocity_pid's P
 DELAYS = (0.0, 0.01, 0.02, 0.03, 0.05)  # s
 ROUND = 3  # digits of proposed values
-INERTIA = 0.4  # share of the effort's variance that the model's own inverse dynamics explains, for its unit to be told
+INERTIA = (
+    0.4  # share of the effort's variance that the model's own inverse dynamics explains, for its unit to be inferred
+)
 DUTY_GAIN = 0.01  # 1/rad; only its product with kp is known
 STALL = 3.0  # times the largest load of gravity, that full duty gives
-FEWEST = 20  # samples that tell a law
+FEWEST = 20  # samples that are enough for a law
 UNSEEN = 5.0  # times the largest effort, of a limit that the recordings do not show
 ROOM = 2.0  # of a drive's torque over what the recorded motion needs
 NEAR = 1.33  # times what it gives, up to which the effort is in that unit
@@ -51,7 +53,7 @@ class DriveProposal:
 
     Attributes:
         gains: kp of each recording, of a drive by duty cycle.
-        factor: N m (N) that one of the recorded unit of effort stands for, where that is open and the law tells it.
+        factor: N m (N) per recorded unit of effort, where it is not stated and the law determines it.
     """
 
     kind: str
@@ -203,16 +205,18 @@ def propose_drive(
     if unit:
         if straight:
             line = f"{k:.4g} (target - position) {'-' if c > 0 else '+'} {abs(c):.3g} speed"
-            told = f"effort = {line} explains {share:.1%} of it"
+            explanation = f"effort = {line} explains {share:.1%} of it"
             if unit == "duty":
                 gains = tuple(_law([s], scale, zero)[1] / DUTY_GAIN for s in samples)
-                kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {told}")
+                kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {explanation}")
                 values = _duty_values(kp, stall, stall_why, n, rad)
-                return DriveProposal("pwm_servo", f"duty follows the error: {told}", values, unit, unit_why, gains)
+                return DriveProposal(
+                    "pwm_servo", f"duty follows the error: {explanation}", values, unit, unit_why, gains
+                )
             if unit == n:
                 torque = most if limited else 1.2 * most
                 values = {
-                    "stiffness": Proposed(_round(k), f"{n}/{rad}", f"read from the recordings: {told}"),
+                    "stiffness": Proposed(_round(k), f"{n}/{rad}", f"read from the recordings: {explanation}"),
                     "damping": Proposed(_round(max(c, 0.0)), f"{n} s/{rad}", "the same line"),
                     "torque": Proposed(
                         _round(limit if limit and not limited else torque), n,
@@ -221,15 +225,17 @@ def propose_drive(
                     ),
                     "delay": Proposed(0.0, "s", "to be fitted"),
                 }  # fmt: skip
-                return DriveProposal("torque_pd", f"effort is a PD law on the error: {told}", values, unit, unit_why)
+                return DriveProposal(
+                    "torque_pd", f"effort is a PD law on the error: {explanation}", values, unit, unit_why
+                )
     else:
         share, gives_way = _yielding(robot, joint, samples, scale, zero)
         if share > YIELDS:
             by = f"{gives_way:.3g} {n}/{rad}"
-            told = f"it sags under its weight by {by}, which explains {share:.0%} of what speed does not"
+            explanation = f"it sags under its weight by {by}, which explains {share:.0%} of what speed does not"
             kp = Proposed(_round(gives_way / DUTY_GAIN / stall), "1", "so that full duty times it is that")
             values = _duty_values(kp, stall, stall_why, n, rad)
-            return DriveProposal("pwm_servo", told, values, unit, unit_why)
+            return DriveProposal("pwm_servo", explanation, values, unit, unit_why)
     first, second = _orders(samples, scale, zero)
     ratio = second[0] / max(first[0], 1e-300)
     if ratio < BETTER or straight or first[1] > 0.9 * FASTEST:
@@ -326,9 +332,9 @@ def _yielding(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float
         others = np.column_stack([inertia * a, v, np.sign(v), np.ones_like(v)])[rows]
         columns = np.column_stack([weight, others])
         slope = float(np.linalg.lstsq(columns, error[rows], rcond=None)[0][0])
-        left, without = (float(np.var(_beside(c, error[rows]))) for c in (columns, others))
-        if slope > 0.0 and left < (1.0 - LAW) * float(np.var(error[rows])):
-            found.append((1.0 - left / without, 1.0 / slope))
+        residual, without = (float(np.var(_beside(c, error[rows]))) for c in (columns, others))
+        if slope > 0.0 and residual < (1.0 - LAW) * float(np.var(error[rows])):
+            found.append((1.0 - residual / without, 1.0 / slope))
     if len(found) < len(samples) / 3:
         return 0.0, 0.0
     return float(np.median([share for share, _ in found])), float(np.median([k for _, k in found]))
@@ -375,8 +381,8 @@ def _law(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, 
     limited = float(np.mean(at_most)) > 0.005
     free = ~at_most if limited else np.ones(len(effort), dtype=bool)
     best = np.linalg.lstsq(columns[free], effort[free], rcond=None)[0]
-    left = effort[free] - columns[free] @ best
-    share = 1.0 - float(np.var(left)) / max(float(np.var(effort[free])), 1e-300)
+    residual = effort[free] - columns[free] @ best
+    share = 1.0 - float(np.var(residual)) / max(float(np.var(effort[free])), 1e-300)
     return share, float(best[0]), float(best[1]), limited
 
 
@@ -385,11 +391,11 @@ def _orders(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[tupl
     lively = sorted(samples, key=lambda one: -float(np.nan_to_num(np.nanstd(one.target))))
     # What saturates, or was switched off, is no straight answer, and slow motion tells no order: the recording tells
     # in which a second order answers most better than a first; where none does, the one that is answered best.
-    found = [_orders_of(s, scale, zero) for s in lively[:: max(1, len(lively) // ANSWERS)][:ANSWERS]]
-    told = min(found, key=lambda orders: orders[1][0] / max(orders[0][0], 1e-300))
-    if told[1][0] < BETTER * told[0][0]:
-        return told
-    return min(found, key=lambda orders: min(orders[0][0], orders[1][0]))
+    fits = [_orders_of(s, scale, zero) for s in lively[:: max(1, len(lively) // ANSWERS)][:ANSWERS]]
+    clearest = min(fits, key=lambda orders: orders[1][0] / max(orders[0][0], 1e-300))
+    if clearest[1][0] < BETTER * clearest[0][0]:
+        return clearest
+    return min(fits, key=lambda orders: min(orders[0][0], orders[1][0]))
 
 
 def _orders_of(s: Sampled, scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -129,9 +129,9 @@ def match_joints(
         InputError: none match, or a given name does not exist; lists both sides.
     """
     recorded, sent = states.joints, commands.joints if commands else ()
-    told = f"The model has {', '.join(robot.joints)}; the recordings measure {', '.join(recorded)}"
+    inventory = f"The model has {', '.join(robot.joints)}; the recordings measure {', '.join(recorded)}"
     wrong = [
-        f"--match {j}={r}: no such pair. {told}."
+        f"--match {j}={r}: no such pair. {inventory}."
         for j, r in given.items()
         if j not in robot.joints or r not in recorded
     ]
@@ -154,18 +154,18 @@ def match_joints(
     if not pairs and len(robot.joints) == len(recorded) == 1:
         pairs[robot.joints[0]] = (recorded[0], "the only joint on either side")
     if not pairs:
-        raise InputError(f"No joint matches by name. {told}. Say which is which by --match JOINT=RECORDED.")
-    found = []
+        raise InputError(f"No joint matches by name. {inventory}. Say which is which by --match JOINT=RECORDED.")
+    matches = []
     for joint in robot.joints:
         if joint in pairs:
             name, why = pairs[joint]
             command = name if name in sent else next((s for s in sent if _plain(s) == _plain(name)), None)
             command = sent[0] if command is None and len(sent) == len(recorded) == 1 else command
             if command is not None:
-                found.append(Match(joint, name, command, why))
-    if not found:
-        raise InputError(f"No measured joint is commanded. Commands are for {', '.join(sent)}. {told}.")
-    return found
+                matches.append(Match(joint, name, command, why))
+    if not matches:
+        raise InputError(f"No measured joint is commanded. Commands are for {', '.join(sent)}. {inventory}.")
+    return matches
 
 
 def _plain(name: str) -> str:

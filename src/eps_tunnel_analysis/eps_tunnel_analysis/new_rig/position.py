@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In which unit a joint's positions are recorded, told from how far they reach where nobody says it."""
+"""In which unit a joint's positions are recorded, inferred from their range where it is not stated."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ DEGREES_MOST = 400.0
 BEYOND = 2.0  # of a joint's range in the model; a reach beyond is hardly rad
 SCALES = {"rad": 1.0, "deg": TURN / 360.0, "m": 1.0, "mm": 1e-3}
 TICKS = "ticks"
-NORMALISED = 100.0  # at either end of what LeRobot makes of a joint's range unless told otherwise
+NORMALISED = 100.0  # at either end of what LeRobot makes of a joint's range unless set otherwise
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def position_unit(
     Args:
         bounds: (2,) of the joint in the model, rad or m; None where it has none.
         seen, sent: recorded positions and targets, (n,) each.
-        given: as a person said, else told from the reach.
+        given: as the user stated it; otherwise inferred from the range.
         ticks: what positions in ticks stand for.
 
     Raises:
@@ -79,10 +79,10 @@ def position_unit(
     if ticks is None:
         raise InputError("--position-unit ticks needs --ticks-per-turn, as 4096, and mostly --zero, as 2048.")
     zero = ticks.zero(match.joint)
-    told = f"ticks_per_turn: {ticks.per_turn:g}"
+    per_turn = f"ticks_per_turn: {ticks.per_turn:g}"
     why += f", {ticks.per_turn:g} a turn and {zero:g} where the joint is at 0"
-    entry = f", unit: ticks, {told}" + (f", zero: {zero:g}" if zero else "")
-    return PositionUnit(TICKS, why, TURN / ticks.per_turn, zero, entry, f", unit: ticks/s, {told}", doubt)
+    entry = f", unit: ticks, {per_turn}" + (f", zero: {zero:g}" if zero else "")
+    return PositionUnit(TICKS, why, TURN / ticks.per_turn, zero, entry, f", unit: ticks/s, {per_turn}", doubt)
 
 
 def _told(slides: bool, bounds: Array | None, seen: Array, sent: Array) -> tuple[str, str]:

@@ -20,7 +20,7 @@ WORDS = {
     "effort": ("effort", "torque", "current", "load", "duty", "pwm", "tau", "force"),
     "position": ("position", "pos", "angle", "measured", "actual", "state", "q", "y"),
 }
-"""Quantity -> words by which a column is told to hold it, as part of its name."""
+"""Quantity -> words in a column's name by which it is recognised."""
 ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 """name of a column and the place in its lists"""
 SLOWEST, FASTEST = 0.1, 1e5  # Hz, frames of a dataset
@@ -31,7 +31,7 @@ def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tup
     """One bag for each CSV file, in a folder, and sentences on what was taken for what.
 
     Args:
-        joints: names of the model's joints, by which columns are told apart; one joint needs no name.
+        joints: names of the model's joints, by which columns are distinguished; one joint needs no name.
 
     Raises:
         InputError: no column of time or of a position; lists the columns.
@@ -40,7 +40,7 @@ def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tup
     bags = []
     for table in tables:
         columns = _columns(table, joints, notes)
-        csv_to_bag(table, columns, folder / table.stem)  # what it finds odd takes all for rad; units are told later
+        csv_to_bag(table, columns, folder / table.stem)  # what it finds odd takes all for rad; units are inferred later
         bags.append(folder / table.stem)
     return bags, list(dict.fromkeys(notes))
 
@@ -53,34 +53,36 @@ def _columns(table: Path, joints: Sequence[str], notes: list[str]) -> CsvColumns
             f"{table}: no column of time. Expected one named {', '.join(TIME[:4])}; it has {', '.join(numbers)}. "
             "Rename it, or use `eps-tunnel import-csv --time COLUMN`, then --bag."
         )
-    found: dict[str, dict[str, str]] = {quantity: {} for quantity in WORDS}
+    by_quantity: dict[str, dict[str, str]] = {quantity: {} for quantity in WORDS}
     for name in numbers:
         if name == time or _base(name, joints):
             continue
         joint = _joint_of(name, joints)
         if joint is not None:
-            found[_quantity(name, joint)].setdefault(joint, name)
-    _add_lists(table, numbers, joints, found, notes)
-    if not found["position"]:
+            by_quantity[_quantity(name, joint)].setdefault(joint, name)
+    _add_lists(table, numbers, joints, by_quantity, notes)
+    if not by_quantity["position"]:
         raise InputError(
             f"{table}: no column of a position. Expected the joint's name ({', '.join(joints)}), alone or with "
             f"{', '.join(WORDS['position'][:3])}; it has {', '.join(numbers)}. Rename one, or use `eps-tunnel "
             "import-csv --position JOINT=COLUMN`, then --bag."
         )
-    measured = found["position"]
+    measured = by_quantity["position"]
     for quantity in ("velocity", "effort"):
-        found[quantity] = {j: c for j, c in found[quantity].items() if j in measured}
-        if len(found[quantity]) < len(measured):
-            found[quantity] = {}
+        by_quantity[quantity] = {j: c for j, c in by_quantity[quantity].items() if j in measured}
+        if len(by_quantity[quantity]) < len(measured):
+            by_quantity[quantity] = {}
     scale = _clock(numbers[time])
-    told = [f"{quantity} of {j} from column '{c}'" for quantity, by in found.items() for j, c in by.items()]
+    sources = [f"{quantity} of {j} from column '{c}'" for quantity, by in by_quantity.items() for j, c in by.items()]
     unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[scale]
-    notes.append(f"Tables: time from column '{time}' in {unit}; {'; '.join(told)}.")
-    return CsvColumns(time, found["command"], measured, found["velocity"], found["effort"], time_scale=scale)
+    notes.append(f"Tables: time from column '{time}' in {unit}; {'; '.join(sources)}.")
+    return CsvColumns(
+        time, by_quantity["command"], measured, by_quantity["velocity"], by_quantity["effort"], time_scale=scale
+    )
 
 
 def _add_lists(
-    table: Path, columns: Iterable[str], joints: Sequence[str], found: dict[str, dict[str, str]], notes: list[str]
+    table: Path, columns: Iterable[str], joints: Sequence[str], by_quantity: dict[str, dict[str, str]], notes: list[str]
 ) -> None:
     """Takes columns of lists for what joints have no column of their own for, in the model's order of joints; says
     so, and which are left out."""
@@ -90,9 +92,9 @@ def _add_lists(
             lists.setdefault(base, []).append(name)
     for name, elements in lists.items():
         quantity = _quantity(name, "")
-        if len(elements) != len(joints) or found[quantity]:
+        if len(elements) != len(joints) or by_quantity[quantity]:
             why = (
-                f"there is another column of a {quantity}" if found[quantity]
+                f"there is another column of a {quantity}" if by_quantity[quantity]
                 else f"it has {len(elements)} number{'s' * (len(elements) > 1)} per cell, and the model "
                 f"{len(joints)} joint{'s' * (len(joints) > 1)}"
             )  # fmt: skip
@@ -101,7 +103,7 @@ def _add_lists(
                 f"--{quantity} JOINT={name}[0]`, then --bag."
             )
             continue
-        found[quantity] = dict(zip(joints, elements, strict=True))
+        by_quantity[quantity] = dict(zip(joints, elements, strict=True))
         order = ", ".join(joints)
         notes.append(f"Column '{name}' is a list, taken in the model's order of joints: {order}. Is that its order?")
 

@@ -83,8 +83,8 @@ def new_rig(
 
     Args:
         match: joint of the model -> recorded name.
-        position: unit of recorded positions and targets; told from their reach where None.
-        effort: unit of recorded efforts; told from the model's inverse dynamics where None.
+        position: unit of recorded positions and targets; inferred from their range where None.
+        effort: unit of recorded efforts; inferred from the model's inverse dynamics where None.
         ticks: what positions in ticks stand for.
 
     Raises:
@@ -110,8 +110,8 @@ def new_rig(
     write_new(folder / "rig.yaml", _rig_text(robot, mjcf, axes, step, topics, recordings))
     write_new(folder / "model.yaml", _model_text(robot, axes, recordings))
     notes = [*(note for a in axes for note in _found(a)), *changed]
-    left = [j for j in robot.joints if j not in [a.match.joint for a in axes]]
-    notes += [f"Not driven here, because no recording commands it: {', '.join(left)}."] if left else []
+    undriven = [j for j in robot.joints if j not in [a.match.joint for a in axes]]
+    notes += [f"Not driven here, because no recording commands it: {', '.join(undriven)}."] if undriven else []
     return NewRig(folder / "model.yaml", tuple(notes), tuple(_known(axes, recordings)))
 
 

@@ -241,8 +241,8 @@ class AnalysisNode(TunnelNode):
         gap = self._empty_gap(rate=rate)
         if not self._reference:
             return gap
-        found = to_plays(self._reference, namespace="/real", rate=rate, max_gap=self._max_gap)
-        for play, result in zip(found.plays, found.results, strict=True):
+        plays = to_plays(self._reference, namespace="/real", rate=rate, max_gap=self._max_gap)
+        for play, result in zip(plays.plays, plays.results, strict=True):
             if not result.sequence_hash:
                 raise InputError(
                     f"reference: {play.name} has no marks that name a sequence; expected bags with marked trials."
@@ -281,7 +281,7 @@ class AnalysisNode(TunnelNode):
         for batch in batches:
             self._stamp = batch.stamp
             tunnel = batch.real
-            # After a pause many samples are judged at once; the newest tells where things are.
+            # After a pause many samples are judged at once; the newest gives the current state.
             row = len(tunnel.time) - 1
             message = TunnelSample(
                 time=float(tunnel.time[row]), signals=list(tunnel.signals), mean=array("d", tunnel.mean[row]),
@@ -324,7 +324,7 @@ class AnalysisNode(TunnelNode):
             self._numbers[signal].publish(Float64(data=float(figures.shares[row, first])))
 
     async def _matched(self, sides: Sequence[str]) -> list[str]:
-        """Waits until everybody who publishes is heard, and returns who is not, in words."""
+        """Waits until all publishers are matched, and returns those that are not, in words."""
         deadline = time.monotonic() + float(self.get_parameter("connect_timeout").value or 0.0)
         while True:
             self._recorder.look()

@@ -31,7 +31,7 @@ CALLBACKS_EACH = 3  # callbacks at each look
 
 
 class TunnelNode(Node):
-    """A node with declared parameters that can be told to stop.
+    """A node with declared parameters that can be asked to stop.
 
     Attributes:
         stopping: set by SIGINT and SIGTERM; long work watches it.
@@ -214,7 +214,7 @@ class OneGoal:
 
     Args:
         kind, name: of the action.
-        refusal: what to tell of a goal that is refused.
+        refusal: message for a goal that is refused.
         work: does a goal; ends with `handle.execute` of what calls `settle`.
     """
 

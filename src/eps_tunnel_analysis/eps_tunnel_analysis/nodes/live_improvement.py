@@ -31,7 +31,7 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 
 PATIENCE = 90.0  # s, for a node to appear; a busy machine takes its time
-CANCEL = 10.0  # s, for the player to end after it was told to
+CANCEL = 10.0  # s, for the player to end after it was asked to
 
 
 class RigClient:
@@ -93,7 +93,7 @@ class RigClient:
         answer = self._await(self._limits.call_async(GetParameters.Request(names=["limit_deg"])))
         return math.radians(answer.values[0].double_value)
 
-    def tell(self, content: Mapping[str, Any], report: Path) -> None:
+    def publish(self, content: Mapping[str, Any], report: Path) -> None:
         """Publishes a verdict, as diagnosis.json holds it, on /srg/diagnosis."""
         message = diagnosis_message(content, str(report.resolve()))
         message.header.stamp = self._node.get_clock().now().to_msg()

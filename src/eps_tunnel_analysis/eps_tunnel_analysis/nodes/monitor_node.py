@@ -188,7 +188,7 @@ def _health(counters: LiveCounters) -> Health:
 
 
 def _verdict(message: Diagnosis, model: str) -> VerdictPart:
-    """The verdict of somebody else."""
+    """A verdict of another node."""
     pairs = zip(message.candidates, message.probabilities, strict=False)
     return VerdictPart(
         verdict=message.verdict, sentence=message.sentence, effects=tuple(message.effects),
@@ -222,7 +222,7 @@ class PlayerClient:
         return bool(self._client.server_is_ready())
 
     def play(self, sequence: str, trials: int, folder: Path) -> None:
-        """Plays and records; the end is told to `ended`."""
+        """Plays and records; calls `ended` at the end."""
         self.playing, self._handle, self._stop = True, None, False
         goal = PlaySequence.Goal(sequence=sequence, trials=trials, record=True, folder=str(folder))
         future: Any = self._client.send_goal_async(goal, feedback_callback=lambda m: self._progress(m.feedback))
@@ -235,7 +235,7 @@ class PlayerClient:
             self._handle.cancel_goal_async()
 
     def lost(self) -> None:
-        """The player went away; its run will not be told to have ended."""
+        """The player disappeared; the end of its run will not be reported."""
         self._end(PlaySequence.Result(success=False, message="The player disappeared while it was playing."))
 
     def _answered(self, future: Any) -> None:
@@ -377,10 +377,10 @@ class Monitor(TunnelNode):
         elif now - self._player_seen > PLAYER_GONE:
             self._player.lost()
         if self.stopping.is_set() and self._player.playing:
-            self._player.stop()  # nobody could stop it any more
+            self._player.stop()  # it could not be stopped any more
 
     def _check_processes(self) -> None:
-        """Tells once of a process of the emulated rig that ended."""
+        """Reports once that a process of the emulated rig has ended."""
         try:
             if self._processes is not None:
                 self._processes.check()

@@ -39,7 +39,7 @@ class Pace:
     def __init__(self, clock: Clock, simulated: bool) -> None:
         self._clock, self.simulated = clock, simulated
         self._ticked = threading.Event()
-        if simulated:  # told of every message on /clock
+        if simulated:  # called on every message on /clock
             any_change = JumpThreshold(
                 min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
             )

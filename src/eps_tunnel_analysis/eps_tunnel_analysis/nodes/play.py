@@ -106,14 +106,14 @@ class Run:
     """Where a run is: its clock, its progress, whether it must stop. Times are s of its clock.
 
     Attributes:
-        hopeless: tells why the run cannot go on, or nothing.
+        hopeless: says why the run cannot go on, or nothing.
     """
 
     def __init__(
-        self, sequence: Sequence, trials: int, pace: Pace, tell: Callable[[Progress], None],
+        self, sequence: Sequence, trials: int, pace: Pace, report: Callable[[Progress], None],
         stopped: Callable[[], bool],
     ) -> None:  # fmt: skip
-        self._tell, self._stopped, self.pace = tell, stopped, pace
+        self._report, self._stopped, self.pace = report, stopped, pace
         self.hopeless: Callable[[], str] = lambda: ""
         # A first guess of 2.5 s between trials; later the run's own pace counts.
         self._work = [command.duration + 2.5 for command in sequence.commands for _ in range(trials)]
@@ -151,7 +151,7 @@ class Run:
         within = min(now - self._trial_began, self._work[min(self.trial, self.trials - 1)])
         share = min(1.0, (done + within) / total) if self.trial < self.trials else 1.0
         pace = spent / (done + within) if self.trial and done + within > 0 else 1.0
-        self._tell(
+        self._report(
             Progress(min(self.trial, self.trials - 1), self.trials, self.phase, share, (1 - share) * total * pace)
         )
 
@@ -200,7 +200,7 @@ class SequencePlayer:
 
     def play(
         self, sequence: Sequence, trials: int, record: bool, folder: str,
-        tell: Callable[[Progress], None], stopped: Callable[[], bool],
+        report: Callable[[Progress], None], stopped: Callable[[], bool],
     ) -> Outcome:  # fmt: skip
         """Plays every command of the sequence `trials` times (0: as it says); one bag per side and command.
 
@@ -210,7 +210,7 @@ class SequencePlayer:
         trials = trials or sequence.trials
         if trials > MOST_TRIALS:
             raise InputError(f"{trials} trials of each command; expected at most {MOST_TRIALS}.")
-        run = Run(sequence, trials, self._pace, tell, stopped)
+        run = Run(sequence, trials, self._pace, report, stopped)
         bags: list[str] = []
         for side in self._sides:
             side.target = None

@@ -82,13 +82,13 @@ class Player(TunnelNode):
     def _play_goal(self, handle: Handle) -> None:
         goal: PlaySequence.Goal = handle.request
 
-        def tell(progress: Progress) -> None:
+        def report(progress: Progress) -> None:
             feedback = PlaySequence.Feedback(trial=progress.trial, trials=progress.trials, phase=progress.phase)
             feedback.progress, feedback.time_left = progress.share, progress.time_left
             handle.publish_feedback(feedback)
 
         outcome = self._run(
-            goal.sequence or self._sequence, goal.trials or self._trials, goal.record, goal.folder, tell,
+            goal.sequence or self._sequence, goal.trials or self._trials, goal.record, goal.folder, report,
             lambda: self._goals.stopped(handle),
         )  # fmt: skip
         result = PlaySequence.Result(success=outcome.success, message=outcome.message, bags=list(outcome.bags))
@@ -105,7 +105,7 @@ class Player(TunnelNode):
         trials: int,
         record: bool,
         folder: str,
-        tell: Callable[[Progress], None],
+        report: Callable[[Progress], None],
         stopped: Callable[[], bool],
     ) -> Outcome:
         # What was set meanwhile counts from this run on.
@@ -115,7 +115,7 @@ class Player(TunnelNode):
         try:
             if not name:
                 raise InputError("No sequence named. Give the name or the path of one as the goal's `sequence`.")
-            outcome = self._play.play(find_sequence(name), trials, record, folder, tell, stopped)
+            outcome = self._play.play(find_sequence(name), trials, record, folder, report, stopped)
         except InputError as error:
             outcome = Outcome(False, str(error), ())
         except Exception as error:  # a thread that died silently would leave the player busy for ever

@@ -51,7 +51,7 @@ NOT_MEASURED = ("joint_commands", "trial")  # what the player publishes; a side 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 TAKE_PERIOD = 0.01  # s between two looks at what has come; a wake-up per message takes several times the processor
 DEPTH = 1000  # messages; enough for some seconds in which this process is not scheduled
-DISCOVERY = 3.0  # s; a participant tells of itself as often, so that a node of this age knows those who are there
+DISCOVERY = 3.0  # s; participants announce themselves this often, so that a node of this age knows all others
 QUIET = 0.5  # s without new ends of topics after which all are taken to know each other
 LIBRARIES = ("eps_tunnel_analysis", "labyrinth_sim", "labyrinth_hw", "mujoco", "rosbags", "numpy")
 
@@ -97,7 +97,7 @@ class _Topic:
 class Recorder:
     """One raw subscription per topic; messages go to the side's bag and to `listen(side, name, topic, CDR, arrival)`.
 
-    Somebody has to call `take` every TAKE_PERIOD, and `look` once a second; before `start`, both until nothing is
+    The caller must call `take` every TAKE_PERIOD, and `look` once a second; before `start`, both until nothing is
     `missing` and all is `settled`.
 
     Args:
@@ -174,7 +174,7 @@ class Recorder:
             self._note(topic, ends)
 
     def missing(self, sides: Sequence[str]) -> list[str]:
-        """What a recording that began now would not hear though somebody publishes it, or is expected to, in words.
+        """What a recording that began now would not receive although it is published, or expected, in words.
 
         A side that is named is expected to measure; without names any may, as long as this node is too young to know.
 
@@ -248,7 +248,7 @@ class Recorder:
         return self.bags
 
     def stop(self) -> list[str]:
-        """Closes the bags, with all that came until now, and returns their paths; `errors` tells what they lack."""
+        """Closes the bags, with all that came until now, and returns their paths; `errors` says what they lack."""
         self.take()
         bags, writers = self.bags, self._writers
         self._writers = {}
@@ -291,7 +291,7 @@ class Recorder:
     def _add(self, side: str, name: str, kind: Any) -> None:
         fixed = overridden(self._node, self._node.resolve_topic_name(name))
         profile = hears_all(offered(self._node, self._node.resolve_topic_name(name)), DEPTH)
-        # A parameter is there where its policy is fixed; of the others no parameter could tell the truth.
+        # A parameter is there where its policy is fixed; for the others no parameter would be correct.
         subscription = self._subscribe(kind, name, profile, [*SIZES, *(set(fixed) - set(SIZES))])
         type_ = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
         self._changed = time.monotonic()
@@ -414,13 +414,13 @@ def ros_distro() -> str:
 
 
 def _versions(distro: str) -> dict[str, str]:
-    found = {"python": platform.python_version(), "ros": distro}
+    versions = {"python": platform.python_version(), "ros": distro}
     for library in LIBRARIES:
         try:
-            found[library] = version(library)
+            versions[library] = version(library)
         except PackageNotFoundError:
             continue
-    return {f"version.{key}": value for key, value in found.items() if value}
+    return {f"version.{key}": value for key, value in versions.items() if value}
 
 
 def offered(node: Node, topic: str) -> list[QoSProfile]:
@@ -452,7 +452,7 @@ def overridden(node: Node, topic: str) -> dict[QoSPolicyKind, Any]:
 
 
 def as_in_bags(profile: QoSProfile) -> Qos:
-    """A publisher's profile as metadata.yaml tells it."""
+    """A publisher's profile in the format of metadata.yaml."""
 
     def time(nanoseconds: int) -> QosTime:
         return QosTime(*divmod(min(nanoseconds, FOR_EVER), 10**9))

@@ -114,8 +114,8 @@ def rig_processes(rig: EmulatedRig, model: str, folder: Path) -> Iterator[Proces
 def hidden_in(folder: Path) -> list[dict[str, Any]]:
     """What the testbed hid beyond its ordinary faults: effect, axis, strength, values of each."""
     path = folder / "hidden.json"
-    found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["hidden"] if path.exists() else []
-    return found
+    hidden: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["hidden"] if path.exists() else []
+    return hidden
 
 
 def hidden_in_words(hidden: Sequence[Mapping[str, Any]]) -> str:

@@ -39,12 +39,12 @@ class RecordClient:
     ) -> tuple[str, ...]:
         """Paths of the bags that are now recorded, one per side.
 
-        Args:
-            appears, timeout: longest wait for who records, and for the answer, s.
-            check: called now and then while who records is waited for; raises to give up.
+                Args:
+                    appears, timeout: longest wait for who records, and for the answer, s.
+                    check: called now and then while who records is waited for; raises to give up.
 
-        Raises:
-            InputError: nobody records.
+                Raises:
+        InputError: no recorder is running.
         """
         label = command.name.replace("/", "_")
         return self._call(

@@ -150,21 +150,21 @@ class TwoTypesError(Exception):
 
 def read_mcap(file: Path) -> McapFile:
     """All that is whole in a file that begins as an MCAP file does. Raises TwoTypesError."""
-    found = McapFile(Allowance.of([file]))
+    contents = McapFile(Allowance.of([file]))
     for at, opcode, body in _records(file):
         if opcode == Opcode.FOOTER:
             break
         try:
-            if not found.complete:
-                found.complete = opcode == Opcode.DATA_END
-                found.add_record(opcode, body)
+            if not contents.complete:
+                contents.complete = opcode == Opcode.DATA_END
+                contents.add_record(opcode, body)
             elif opcode == Opcode.CHUNK:
                 raise ValueError("it lies behind the end of the data")
         except TORN as error:
-            found.complete = False
-            found.fault = f"{file.name}: the record at byte {at} is damaged, {error}"
+            contents.complete = False
+            contents.fault = f"{file.name}: the record at byte {at} is damaged, {error}"
             break
-    return found
+    return contents
 
 
 def _records(file: Path) -> Iterator[tuple[int, int, bytes]]:
@@ -255,11 +255,11 @@ def _closed(path: Path, source: Path) -> Bag:
         if source.is_dir():
             _check_metadata(source)
         with _CheckedReader(source) as reader:
-            told: Any = reader.storage.metadata
+            stored: Any = reader.storage.metadata
             storages: list[Any] = getattr(reader.storage, "storages", [reader.storage])
             allowance = Allowance.of(storage.path for storage in storages)
             parts = [s.content.topics if isinstance(s, _CheckedMcap) else _iterated(s, allowance) for s in storages]
-            if told.compression_mode == "message":
+            if stored.compression_mode == "message":
                 for topic in (topic for part in parts for topic in part.values()):
                     topic.messages = [message_data(message, allowance) for message in topic.messages]
             topics = _merged(path, parts)
@@ -269,8 +269,8 @@ def _closed(path: Path, source: Path) -> Bag:
                 topics.setdefault(c.topic, RawTopic(c.topic, c.msgtype, c.msgdef))
             if not all(isinstance(word, str) for raw in topics.values() for word in (raw.name, raw.type)):
                 raise ValueError("the name or type of a topic is no text")
-            metadata |= {str(key): str(value) for key, value in (told.custom or {}).items()}
-            expected = int(told.message_count)
+            metadata |= {str(key): str(value) for key, value in (stored.custom or {}).items()}
+            expected = int(stored.message_count)
     except InputError:
         raise
     except TwoTypesError as error:
@@ -385,10 +385,10 @@ def recovered(path: Path, file: Path) -> Bag:
         InputError: nothing is.
     """
     try:
-        found = read_mcap(file)
+        contents = read_mcap(file)
     except TwoTypesError as error:
         raise InputError(f"{path}: {error}.") from error
-    bag = Bag(path, _merged(path, [found.topics]), found.metadata, None)
+    bag = Bag(path, _merged(path, [contents.topics]), contents.metadata, None)
     times = [time for raw in bag.topics.values() if raw.log_times for time in (raw.log_times[0], raw.log_times[-1])]
     if not times:
         raise InputError(f"{path}: {file.name} was not closed properly and holds no complete chunk of messages.")

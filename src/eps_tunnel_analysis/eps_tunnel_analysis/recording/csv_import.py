@@ -97,13 +97,13 @@ def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/r
 
 def columns_of(table: Path) -> dict[str, NDArray[np.float64]]:
     """Every column of a CSV that holds numbers, by its header, (n,), NaN for empty cells. Raises InputError."""
-    found = {}
+    columns = {}
     for name, cells in _cells(table, None).items():
         try:
-            found[name] = _numbers(table, name, cells)
+            columns[name] = _numbers(table, name, cells)
         except InputError:
             continue
-    return found
+    return columns
 
 
 def arrays_to_bag(
@@ -138,13 +138,13 @@ def _cells(table: Path, names: list[str] | None) -> dict[str, list[str]]:
         raise InputError(f"{table}: cannot be read as CSV ({error}). Expected text with one header line.") from error
     if not rows:
         raise InputError(f"{table}: no rows below the header.")
-    found: dict[str, list[str]] = {}
+    cells: dict[str, list[str]] = {}
     for name in header:
-        found |= _elements(table, name, [(row[name] or "").strip() for row in rows])
-    missing = [name for name in names or () if name not in found]
+        cells |= _elements(table, name, [(row[name] or "").strip() for row in rows])
+    missing = [name for name in names or () if name not in cells]
     if missing:
-        raise InputError([f"{table}: {unknown_name('column', name, found)}" for name in missing])
-    return found if names is None else {name: found[name] for name in names}
+        raise InputError([f"{table}: {unknown_name('column', name, cells)}" for name in missing])
+    return cells if names is None else {name: cells[name] for name in names}
 
 
 def _elements(table: Path, name: str, cells: list[str]) -> dict[str, list[str]]:
@@ -210,8 +210,8 @@ def _stamps(table: Path, name: str, cells: list[str], scale: float) -> NDArray[n
 
 def _values(table: Path, cells: Mapping[str, list[str]], columns: Mapping[str, str]) -> NDArray[np.float64]:
     """(n, joints)"""
-    found = [_numbers(table, name, cells[name]) for name in columns.values()]
-    return np.stack(found, axis=1) if found else np.empty((len(next(iter(cells.values()))), 0))
+    columns_read = [_numbers(table, name, cells[name]) for name in columns.values()]
+    return np.stack(columns_read, axis=1) if columns_read else np.empty((len(next(iter(cells.values()))), 0))
 
 
 def _write(

@@ -57,8 +57,8 @@ def doubts(channels: Iterable[Samples], cure: str = "") -> list[str]:
     for samples in channels:
         if len(samples.values):
             of.setdefault(samples.what, []).append(samples)
-    found = [sentence for trials in of.values() for sentence in (_beyond(trials, cure), _stray(trials))]
-    return [sentence for sentence in found if sentence]
+    sentences = [sentence for trials in of.values() for sentence in (_beyond(trials, cure), _stray(trials))]
+    return [sentence for sentence in sentences if sentence]
 
 
 def stray(values: Array) -> NDArray[np.intp]:

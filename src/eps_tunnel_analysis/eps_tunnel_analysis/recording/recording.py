@@ -67,7 +67,7 @@ class StampedTopic:
 
 @dataclass(frozen=True)
 class TrialMark:
-    """Start or end of a trial, or that it was given up, as told on `NS/trial`."""
+    """Start or end of a trial, or that it was aborted, as published on `NS/trial`."""
 
     stamp: int
     """ns by the recording's time source"""

@@ -75,7 +75,7 @@ def message_data(data: bytes, allowance: Allowance) -> bytes:
 
 def _zstd(data: bytes, size: int) -> bytes:
     declared = zstandard.frame_content_size(data)
-    if declared not in (-1, size):  # -1: the frame does not tell
+    if declared not in (-1, size):  # -1: the frame does not say
         raise TooLargeError(f"a zstd frame declares {declared} bytes where {size} are expected")
     # Frames behind the first would be read by others as more of the same.
     return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size, allow_extra_data=False))

@@ -85,7 +85,7 @@ class BagWriter:
 
     Args:
         folder: the bag to make; its parents are made too.
-        metadata: names and texts that tell what was recorded (sequence, sequence_hash, model, versions ...). They
+        metadata: names and texts that describe what was recorded (sequence, sequence_hash, model, versions ...). They
             stand at the head of the file, where a crash cannot reach them, and in metadata.yaml's custom_data.
         distro: ROS release under which it is recorded, e.g. `kilted`; empty where no ROS takes part.
 
@@ -115,7 +115,7 @@ class BagWriter:
             self._writer.open()
             self._storage = self._writer.storage
             self._storage.distro = distro
-            # A checksum tells a chunk that lost power has torn from a whole one.
+            # A checksum distinguishes a chunk torn by a power loss from a complete one.
             self._storage.compressor = zstandard.ZstdCompressor(write_checksum=True).compress
             self._write_head()
         except OSError as error:
@@ -218,9 +218,9 @@ class BagWriter:
         """Puts the ROS release into metadata.yaml, which is replaced whole."""
         file = self.path / "metadata.yaml"
         text = file.read_text(encoding="utf-8")
-        if (told := self._storage.with_distro(text)) != text:
+        if (rewritten := self._storage.with_distro(text)) != text:
             new = file.with_suffix(".yaml.tmp")
-            new.write_text(told, encoding="utf-8")
+            new.write_text(rewritten, encoding="utf-8")
             new.replace(file)
 
     def __enter__(self) -> "BagWriter":
@@ -267,7 +267,7 @@ class BagWriter:
             raise self._failed(self._error)
 
     def _failed(self, error: OSError) -> RecordingError:
-        """Gives up the file as it is, once, and tells why."""
+        """Gives up the file as it is, once, and says why."""
         if self._error is None:
             self._error = error
             if self._storage is not None:

@@ -142,7 +142,7 @@ def evidence(diagnosis: Diagnosis) -> Section:
         factor, unit = shown_unit(before.real.units[i])
         real = before.real_tunnel.mean[:, i]
         speed = np.gradient(real, before.real.step)
-        left = [factor * (c.sim_tunnel.mean[:, i] - real) for c in (before, after)]
+        residuals = [factor * (c.sim_tunnel.mean[:, i] - real) for c in (before, after)]
         blocks.append(Heading(signal))
         for label, x in (
             (f"measured {'angle' if before.real.units[i] == 'rad' else 'place'} in {unit}", factor * real),
@@ -150,7 +150,9 @@ def evidence(diagnosis: Diagnosis) -> Section:
             ("time since the command reversed in s", _since_reversal(before.real, signal)),
             ("time in s", before.real.time),
         ):
-            blocks.append(_chart(signal, label, np.asarray(x), left[0], left[1], unit, bool(diagnosis.verdict.effects)))
+            blocks.append(
+                _chart(signal, label, np.asarray(x), residuals[0], residuals[1], unit, bool(diagnosis.verdict.effects))
+            )
     return Section(
         "Evidence",
         blocks,

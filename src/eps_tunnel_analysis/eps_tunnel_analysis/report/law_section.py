@@ -11,13 +11,13 @@ LISTED = 6  # variables
 
 def law(proposal: Proposal) -> Section:
     """What one axis lacks as a force over its variables, what shows it better, and the formula or curve proposed."""
-    missing, found = proposal.missing, proposal.depends
+    missing, depends = proposal.missing, proposal.depends
     rows = [
         (d.variable if d.place == proposal.axis else f"{d.variable} {d.place}",
          shown_value(d.period, proposal.position_unit, 4) + (f", {d.traced}" if d.traced else "") if d.period else "",
          Bar(max(d.share, 0.0), f"{max(d.share, 0.0):.0%} ({max(d.interval[0], 0.0):.0%} to {d.interval[1]:.0%})"),
          "yes" if d.named else "")
-        for d in found.dependences[:LISTED]
+        for d in depends.dependences[:LISTED]
     ]  # fmt: skip
     blocks: list[Block] = [
         Text(proposal.sentence),
@@ -25,7 +25,7 @@ def law(proposal: Proposal) -> Section:
             ("variable", "period", "predicts", "more than chance"),
             rows,
             caption="Predicts: share of the misfit in held-out stretches of time, with a 90 % interval. By "
-            f"chance, variables that were shifted in time predict up to {max(found.chance, 0.0):.0%}.",
+            f"chance, variables that were shifted in time predict up to {max(depends.chance, 0.0):.0%}.",
         ),
     ]
     blocks += [*law_charts.forces(missing, proposal.position_unit), *law_charts.trials(proposal)]

@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 UPLOT = HERE.parent / "monitor" / "static" / "vendor"
 MOST_POINTS = 2000  # samples of a curve; a wide screen has as many pixels
 MOST_NUMBERS = 90_000  # of all charts of a page, so that it stays well under 1 MB
-SHADES = 10_000  # parts of a curve's range that are told apart
+SHADES = 10_000  # parts of a curve's range that are distinguished
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Stripes:
     caption: str = ""
 
     def placed(self, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-        """Left edge and width of each span, in % of the axis; those that a screen would not tell apart are one."""
+        """Left edge and width of each span, in % of the axis; those that a screen cannot separate are merged."""
         length = (self.end - self.start) or 1.0
         joined = joined_spans(spans, length / MOST_POINTS)
         return [(100 * (a - self.start) / length, 100 * (b - a) / length) for a, b in joined]

@@ -201,8 +201,8 @@ def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
         panels = figure.subplots(1, 2, sharey=True)
         for axes, x, label in zip(panels, (real, speed), (f"{place} in {unit}", f"speed in {unit}/s"), strict=True):
             for comparison, colour, name in shown:
-                left = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
-                axes.plot(factor * x, factor * left, ".", ms=2, color=colour, label=name)
+                residual = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
+                axes.plot(factor * x, factor * residual, ".", ms=2, color=colour, label=name)
             axes.set_xlabel(label)
         panels[0].set_ylabel(f"simulation − real, {unit}")
         panels[0].set_title(before.signals[worst], loc="left", fontsize=9)

@@ -45,7 +45,7 @@ class Findings:
     Attributes:
         recorded: what was diagnosed.
         proposal: where the verdict is "unknown", a law of its own.
-        checked: what the recordings are like and can tell.
+        checked: quality of the recordings and what they can identify.
     """
 
     diagnosis: Diagnosis
@@ -181,7 +181,7 @@ def diagnosis_report(
     return render(diagnosis.verdict.sentence, subtitle, sections)
 
 
-def write_diagnosis(folder: Path, out: Path, found: Findings, real: Sequence[Path], model: str) -> dict[str, Any]:
+def write_diagnosis(folder: Path, out: Path, findings: Findings, real: Sequence[Path], model: str) -> dict[str, Any]:
     """Writes diagnosis.json, report.html, model.yaml; where there are, the next experiment and the proposal's files.
 
     The model has the named effects, fitted; where none is named, its own values are refitted.
@@ -193,7 +193,7 @@ def write_diagnosis(folder: Path, out: Path, found: Findings, real: Sequence[Pat
     Returns:
         The JSON's content.
     """
-    diagnosis, recorded, proposal, checked = found.diagnosis, found.recorded, found.proposal, found.checked
+    diagnosis, recorded, proposal, checked = findings.diagnosis, findings.recorded, findings.proposal, findings.checked
     v = diagnosis.verdict
     content = diagnosis_content(diagnosis, recorded) | ({"check": checked.to_json()} if checked else {})
     save_model(better_model(diagnosis, recorded), folder / MODEL_FILE)
@@ -214,7 +214,7 @@ def write_diagnosis(folder: Path, out: Path, found: Findings, real: Sequence[Pat
     _, add = next_commands(v.effects, recorded, real, model, out)
     step = next_step(diagnosis, recorded, real, model, out, proposal)
     files = [(file.name, str(out / file.name)) for file in sorted(folder.iterdir())]
-    page = diagnosis_report(found, subtitle, step, add, [*facts, *files], out)
+    page = diagnosis_report(findings, subtitle, step, add, [*facts, *files], out)
     (folder / "report.html").write_text(page, encoding="utf-8")
     return content
 

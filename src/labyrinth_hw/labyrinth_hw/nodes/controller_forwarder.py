@@ -120,7 +120,7 @@ class ControllerForwarder(Node):
         )
 
     def _pose(self) -> Array:
-        """Where the joints are told to be, else where they were measured."""
+        """Where the joints were commanded to be, or else where they were measured."""
         if self._path is not None:
             return self._path.at(self._now - self._began)
         if absent := [joint for joint in self._joints if joint not in self._measured]:

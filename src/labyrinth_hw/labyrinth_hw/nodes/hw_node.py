@@ -420,7 +420,7 @@ class HwNode(LifecycleNode):
             self._sight = sight
             if lens is not None:
                 self._lens.publish(camera_info(lens, stamp))
-            # Pictures are drawn, and cross from the other process, only while somebody listens.
+            # Pictures are drawn, and cross from the other process, only while there is a subscriber.
             for picture, asked, publisher in (
                 (sight.picture, vision.pictures, self._pictures),
                 (sight.raw, vision.raw, self._raw),

@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
                 offline(loaded, given.bag, given.commands, given.trials, seed, given.with_ball)
             except BaseException:
                 if given.reveal is not None:
-                    given.reveal.unlink()  # of a rig that nobody recorded
+                    given.reveal.unlink()  # of a rig that was not recorded
                 raise
             return
         run(loaded, given, given.link_dir or default_link_dir(), seed)

@@ -183,7 +183,7 @@ class TestbedConfig:
         servo: control table of both servos.
         baud, sensor_baud: of the two lines, bits per second.
         layout: of the walls and holes.
-        tilt_rate: Hz of the camera's pictures that tell the board's tilt; None where potentiometers do.
+        tilt_rate: Hz of the camera's pictures that give the board's tilt; None where potentiometers do.
         marble: BGR colour of a painted marble; None for steel.
         mode: operating mode that the servos' EEPROM has; None for the factory's.
     """

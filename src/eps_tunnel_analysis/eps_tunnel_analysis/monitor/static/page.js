@@ -28,7 +28,7 @@ function connect() {
     }, () => {});
     if (known.connections) { // what was there last is not known to be there now
       known.connections = { ...known.connections, real: false, sim: false, player: false, analysis: false, armed: false };
-      known.job = { kind: "", told: "", seconds: 0 };
+      known.job = { kind: "", progress: "", seconds: 0 };
       showControls(known);
     }
     setTimeout(connect, delay);
@@ -62,13 +62,13 @@ function showGap(anew = false) {
   drawGap(moved || known.gap, moved ? known.whatif.before : known.before, known.staircase, anew);
 }
 
-async function takeWhatIf(told) {
-  showWhatIf(told);
-  if (!told.gap) { tunnels.suppose(null); return; }
+async function takeWhatIf(shown) {
+  showWhatIf(shown);
+  if (!shown.gap) { tunnels.suppose(null); return; }
   const answer = await fetch("/what_if");
   if (!answer.ok) return;
   const table = await answer.json();
-  if (!known.whatif || table.number !== known.whatif.number) return; // another value was answered meanwhile
+  if (!known.whatif || table.number !== known.whatif.number) return; // another value was chosen in the meantime
   tunnels.suppose(table);
   draw();
 }
