@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Alikeness: the share of samples at which the tunnels of the real and the simulated system meet; and how alike the
-real system is to itself, beside which that share is read."""
+real system is to itself, for comparison."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence

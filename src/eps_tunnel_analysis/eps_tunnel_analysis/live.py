@@ -227,7 +227,7 @@ class LiveGap:
         k_sim: factor of the simulated one.
         max_gap: s; measurements further apart are not bridged.
         smoothed: filter the limits by equation 12. Within a running trial the samples to come are not in it yet;
-            at its end all are judged anew.
+            at its end all are judged again.
     """
 
     def __init__(
@@ -329,7 +329,8 @@ class LiveGap:
             self._judge_all(self._current)
 
     def jumped(self, side: str) -> None:
-        """The clock of a side jumped: its running trial has no even time and is left out; samples are taken anew."""
+        """The clock of a side jumped: its current trial has no consistent time and is left out; new samples are
+        accepted."""
         for stream in self._streams[side].values():
             stream.recent.clear()
         self.abort(side)

@@ -43,7 +43,7 @@ class RestWatch:
         self.speeds: Array = np.zeros(0)
 
     def add(self, time: float, positions: Array) -> None:
-        """One measurement: time in s, positions (j,) in rad, NaN where not measured. Time going back starts anew."""
+        """One measurement: time in s, positions (j,) in rad, NaN where not measured. Starts again if time goes back."""
         with self._lock:
             self._add(time, positions)
 

@@ -183,7 +183,7 @@ def json_text(content: Any) -> str:
 
 
 def called() -> str:
-    """The command that runs; "python" where it is none of ours, as in a notebook."""
+    """The command that runs; "python" if it is not one of ours, as in a notebook."""
     return shlex.join(["eps-tunnel", *sys.argv[1:]]) if f"{__package__}.cli.main" in sys.modules else "python"
 
 

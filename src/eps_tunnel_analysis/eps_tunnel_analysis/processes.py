@@ -31,7 +31,7 @@ class CommandResult:
     Attributes:
         code: exit code.
         content: the JSON that it printed; None where it failed. An interrupted one may have some.
-        complaint: what it said on stderr besides its progress; never empty.
+        complaint: its stderr without progress lines; never empty.
     """
 
     code: int
@@ -40,7 +40,7 @@ class CommandResult:
 
 
 def spare_threads() -> int:
-    """Threads that leave a core to nodes which run beside: where one of two waits for its turn, both wait."""
+    """Number of threads that leaves a core to nodes running at the same time, so that threads need not wait in turn."""
     return max(1, (os.cpu_count() or 1) - 1)
 
 

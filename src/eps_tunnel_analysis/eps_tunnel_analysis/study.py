@@ -363,7 +363,7 @@ class StudyReason(_InNotebook):
         diagnosis: the verdict, its models and comparisons, axis by axis.
         recorded: what was diagnosed.
         real: bags as they were named.
-        proposal: where the verdict is "unknown", a law of its own.
+        proposal: a law, if the verdict is "unknown".
         checked: quality of the recordings and what they can identify.
     """
 
@@ -446,7 +446,7 @@ class StudyFit:
         return self.calibration.result.values
 
     def save(self, file: Named) -> Path:
-        """Writes the model, and the whole result beside it as .fit.json; returns the model's file.
+        """Writes the model, and the complete result next to it as .fit.json; returns the model's file.
 
         Raises:
             InputError: either exists, or cannot be written.

@@ -81,7 +81,7 @@ class Intrinsics:
         return Intrinsics(**figures.model_dump())
 
     def save(self, path: Path | str) -> None:
-        """To a new YAML file. Raises InputError where it exists, for nothing is overwritten, or cannot be written."""
+        """To a new YAML file. Raises InputError if it exists, because nothing is overwritten, or cannot be written."""
         figures = {**asdict(self), "distortion": list(self.distortion)}
         write_new(Path(path), yaml.safe_dump(figures, sort_keys=False))
 

@@ -230,7 +230,7 @@ def _section(kind: Any) -> type[BaseModel] | None:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Writes a file that must not exist yet, beside its place, and moves it there.
+    """Writes a file that must not exist yet, next to its final place, and moves it there.
 
     Raises:
         InputError: it exists, or cannot be written; nothing is left of it.

@@ -92,7 +92,7 @@ class ServoModel:
 
     @property
     def effort_register(self) -> str:
-        """The register that the effort is read from: the load share where there is one, beside the position."""
+        """The register that the effort is read from: the load share if there is one, next to the position."""
         return "present_load" if "present_load" in self.registers else "present_current"
 
     @property

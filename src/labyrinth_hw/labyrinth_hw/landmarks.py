@@ -298,7 +298,8 @@ class LandmarkTracker:
         return self._refit(winner) if winner is not None else None
 
     def _start(self, points: Array, pixels: Array) -> Array | None:
-        """(8,) first guess: the box's pose were the board level; None where it looks from beside or below."""
+        """(8,) first guess: the box's pose if the board were level; None if the camera looks from the side or from
+        below."""
         ok, turn, shift = cv2.solvePnP(points, pixels, *self.intrinsics.arrays(), flags=cv2.SOLVEPNP_IPPE)
         if not ok or shift[2] <= 0 or cv2.Rodrigues(turn)[0][2, 2] > -0.7:
             return None

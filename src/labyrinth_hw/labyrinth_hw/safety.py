@@ -172,7 +172,7 @@ class Safety:
         return Order(True, {**self._held, **wanted}, frozenset(wanted), clipped)
 
     def lost_contact(self) -> None:
-        """The bus was gone: what was ordered no longer holds, and a fresh command is needed."""
+        """The bus was lost: earlier commands no longer apply, and a fresh one is needed."""
         self._held.clear()
         if self.armed:
             self.state = State.WAITING

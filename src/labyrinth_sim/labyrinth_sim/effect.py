@@ -40,7 +40,7 @@ FOLDER_VARIABLE = "EPS_TUNNEL_EFFECTS"
 
 @dataclass(frozen=True)
 class Size:
-    """How large an axis is beside the toy servo that bounds are declared for.
+    """How large an axis is relative to the toy servo that bounds are declared for.
 
     Attributes:
         slides: m for rad, N for N m.

@@ -91,7 +91,7 @@ def _documented(cls: type[Any]) -> Mapping[str, str]:
 
 
 def _array(values: NDArray[Any], about: str) -> str:
-    """Shape, what the docstring says of it besides (its unit), and range: "(5, 1201, 4) rad, -0.052 to 0.054"."""
+    """Shape, what else the docstring says about it (its unit), and range: "(5, 1201, 4) rad, -0.052 to 0.054"."""
     meaning = re.sub(r"^\([^)]*\) *", "", about)
     text = f"{values.shape} {meaning if len(meaning) <= ABOUT else ''}".rstrip()
     if not np.issubdtype(values.dtype, np.number) or not values.size:

@@ -344,7 +344,7 @@ class Stepper:
         return self._samples * self.step
 
     def reset(self, initial: Mapping[str, float] | None = None, first_command: Array | None = None) -> Array:
-        """Starts anew.
+        """Starts again.
 
         Args:
             initial: signal -> value; 0 and the ball's start point where not given.
@@ -370,7 +370,7 @@ class Stepper:
         """Holds a command (u,) rad for one sample, NaN switching a drive off; returns the measurement (m,) after it.
 
         Raises:
-            InputError: the simulation diverged; `reset` starts anew.
+            InputError: the simulation diverged; `reset` starts it again.
         """
         target = through(self._commands, np.asarray(command, float)[None, None, :])[:, 0]
         self._engine.advance(target)

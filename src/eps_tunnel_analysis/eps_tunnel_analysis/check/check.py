@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check of recordings against a model: its findings, and their words."""
+"""The check of recordings against a model: its findings, and their wording."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -54,7 +54,7 @@ class Check:
         return [f"{noun} of axis {axis} that these commands excite. {'; '.join(said)}."] if said else []
 
     def _mends(self) -> list[str]:
-        """What to play: for all values of an axis at once, for the effects that show but are taken for others."""
+        """What to play: for all values of an axis at once, for the effects that show but are confused with others."""
         by_mend: dict[str, list[str]] = {}
         for one in self.excited:
             if one.kind == "value" and one.mend:

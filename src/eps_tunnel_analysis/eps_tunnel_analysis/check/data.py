@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What recordings are like: rates, jitter, gaps, clipped and stuck signals, limits, efforts, repeats."""
+"""Quality of recordings: rates, jitter, gaps, clipped and stuck signals, limits, efforts, repeatability."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ STEADY = 1e-6  # s of jitter that is none
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing about the recordings.
+    """One finding about the recordings.
 
     Attributes:
         about: a signal, a command channel, a recording, or "".

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What recorded commands excite: which values and which effects they can identify, from one batch of roll-outs.
 
-An effect is tried at its typical strength. What it changes, in units of the noise floor, less what the free values can
-take up (the part of it in the span of their slopes), is what is seen of it; less what another effect can take up too,
-what distinguishes it from that one.
+An effect is tried at its typical strength. The change that it causes, in units of the noise floor, minus the part that
+the free values can absorb (in the span of their slopes), is what is seen of it. Minus what another effect can absorb,
+it is what distinguishes it from that one.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,10 +45,10 @@ class Excited:
         kind: "value" or "effect".
         answer: identifiable, weak or no.
         figure: of a value the 95 % half-width to expect, in its unit; of an effect the mean square in floors that the
-            values cannot take up.
+            values cannot absorb.
         unit: of the figure; "floors" for an effect.
         confounded: what it cannot be distinguished from by these commands.
-        mend: what to play, "" where nothing is to be mended.
+        mend: what to play, "" where nothing needs to be improved.
     """
 
     name: str
@@ -100,7 +100,7 @@ def excitation(
 
 
 def _some(plays: Sequence[Play]) -> list[Play]:
-    """Plays up to a length in all, the first in any case."""
+    """Plays up to a total length, at least the first."""
     kept: list[Play] = []
     for play in plays:
         if kept and sum(p.trials.time[-1] for p in (*kept, play)) > MOST_SECONDS:
@@ -116,7 +116,7 @@ def _moved(start: Array, index: int, info: ParameterInfo) -> Array:
 
 
 def _step(info: ParameterInfo) -> float:
-    """By how much a value is moved, in its unit; a delay as far as one that is typical of what is missing."""
+    """By how much a value is varied, in its unit; a delay by a delay that is typical of a missing effect."""
     if info.unit == "s":
         return LATE * (info.high - info.low)
     return SLOPE * (abs(info.value) or LEAST_SIZE * (info.high - info.low))
@@ -165,7 +165,7 @@ def _values(
 
 
 def livelier(axis: str, model: Model, plays: Sequence[Play]) -> str:
-    """What a command lacks that would excite more of an axis."""
+    """What to add to a command so that it excites more of an axis."""
     own = model.rig.axis(axis)
     spans, starts, rests = [], [], []
     for play in plays:

@@ -108,7 +108,7 @@ def add_threads_argument(parser: Any, but: str = "") -> None:
 
 
 def reading_of(arguments: argparse.Namespace) -> "Reading":
-    """How the arguments of `add_reading_arguments` want bags read."""
+    """How to read bags, from the arguments of `add_reading_arguments`."""
     from eps_tunnel_analysis.inputs import Reading
 
     signals = None if arguments.signals is None else tuple(arguments.signals)
@@ -118,7 +118,7 @@ def reading_of(arguments: argparse.Namespace) -> "Reading":
 
 
 def diagnosis_options(arguments: argparse.Namespace, timing: float = 0.0, threads: int = 0) -> "DiagnosisOptions":
-    """What the arguments of a command that diagnoses say; `timing` (s) and `threads` hold where they say nothing."""
+    """Options from the arguments of a command that diagnoses; `timing` (s) and `threads` are defaults."""
     from eps_tunnel_analysis.loop.reason import DiagnosisOptions
 
     candidates = getattr(arguments, "candidates", None)
@@ -146,7 +146,7 @@ def factor(text: str) -> float:
 
 
 def within(low: float, high: float, unit: str) -> Callable[[str], float]:
-    """An argparse type: a number within bounds, which the message names with their unit."""
+    """An argparse type: a number within bounds; the error message names them with their unit."""
 
     def number(text: str) -> float:
         value = float(text)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""check: whether recordings can answer, before anything is fitted."""
+"""check: whether recordings are good enough, before anything is fitted."""
 
 import argparse
 

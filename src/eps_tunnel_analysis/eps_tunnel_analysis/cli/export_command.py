@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""export: what was learned, in the user's own simulator."""
+"""export: a model for the user's own simulator."""
 
 import argparse
 from dataclasses import asdict

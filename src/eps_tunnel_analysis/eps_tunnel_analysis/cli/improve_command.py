@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""improve: diagnose, add, diagnose again, until nothing more can be named; on recordings, or on a rig that plays."""
+"""improve: diagnose, add, diagnose again, until nothing more can be named; on recordings, or on a running rig."""
 
 import argparse
 import sys

@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _give_up_output() -> None:
-    """Leaves what stdout could not take, as on a full disk, or Python would try again at its end and complain."""
+    """Discards what stdout could not take, as on a full disk; otherwise Python would try again at exit and complain."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -113,9 +113,9 @@ def _give_up_output() -> None:
 
 
 def complete(parser: argparse.ArgumentParser) -> None:
-    """Answers the shell and ends the process, where it is a shell that asks.
+    """Answers a completion request of the shell and ends the process, if there is one.
 
-    A shell offers behind TAB commands and options by themselves, and names of effects, models, rigs, sequences. It asks
+    On TAB, commands and options are completed, and names of effects, models, rigs, sequences. The shell asks
     by starting the program with `_ARGCOMPLETE` set, at every TAB: nothing slow is imported, no effect loaded.
     """
     if ASKED not in os.environ:
@@ -130,7 +130,7 @@ def complete(parser: argparse.ArgumentParser) -> None:
 
 
 def _completer(action: argparse.Action) -> Completer | None:
-    """By the name of an option, or of what stands alone."""
+    """Completer for an option or a positional argument, by its name."""
     return {
         "--model": _named("models"),
         "--rig": _named("rigs"),
@@ -152,7 +152,7 @@ def _named(kind: str) -> Completer:
 
 
 def effect_names(prefix: str, parsed_args: argparse.Namespace, **given: Any) -> list[str]:
-    """Names of effects, which are those of their files; before a place, as `add-effect` wants it, with a dot."""
+    """Names of effects, which are those of their files; with a dot where a place follows, as in `add-effect`."""
     names: set[str] = set()
     spec = util.find_spec(EFFECTS)
     if spec is not None:

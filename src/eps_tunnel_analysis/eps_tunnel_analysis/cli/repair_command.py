@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""repair: saves what is whole in a damaged bag."""
+"""repair: saves the intact part of a damaged bag."""
 
 import argparse
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""sweep: what a change of a value would do."""
+"""sweep: what changing a value would do."""
 
 import argparse
 import csv

@@ -53,12 +53,12 @@ class DiagnosisOptions:
 
 @dataclass(frozen=True)
 class DiagnosisRun:
-    """What one diagnosis is given beside its options.
+    """The input of one diagnosis, apart from its options.
 
     Attributes:
         progress, levels, spread: as in `diagnose`.
         limit: rad; an experiment that goes further is not proposed.
-        propose: where the verdict is "unknown", look for a law of its own.
+        propose: if the verdict is "unknown", look for a law.
     """
 
     progress: RolloutProgress | None = None
@@ -72,7 +72,7 @@ class DiagnosisRun:
 @dataclass(frozen=True)
 class Reason:
     """A diagnosis of recordings, the content of its diagnosis.json, and the folder with that, report.html, model.yaml
-    and, where two hypotheses are left, next_experiment.yaml."""
+    and, if two hypotheses are left, next_experiment.yaml."""
 
     diagnosis: Diagnosis
     recorded: Recorded
@@ -146,7 +146,7 @@ def add_to_model(
     options: DiagnosisOptions,
     progress: RolloutProgress | None = None,
 ) -> tuple[Addition, Recorded]:
-    """Adds effects, `EFFECT.PLACE`, fitted to bags, and writes the model to `out` with where it comes from.
+    """Adds effects, `EFFECT.PLACE`, fitted to bags, and writes the model to `out` with its provenance.
 
     Returns:
         What was added, and what it was fitted to.

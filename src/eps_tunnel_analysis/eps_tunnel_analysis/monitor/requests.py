@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page may ask for, from JSON to values."""
+"""The page's requests, from JSON to values."""
 
 import json
 import re
@@ -20,7 +20,7 @@ _EFFECT = re.compile(r"\w{1,60}(\.\w{1,60})?", re.ASCII)
 
 @dataclass(frozen=True)
 class ArmRequest:
-    """Allows the page to move the rig, or no longer."""
+    """Allows or forbids the page to move the rig."""
 
     on: bool
 
@@ -35,7 +35,7 @@ class PlayRequest:
 
 @dataclass(frozen=True)
 class StopRequest:
-    """Stops whatever is under way."""
+    """Stops the current job."""
 
 
 @dataclass(frozen=True)

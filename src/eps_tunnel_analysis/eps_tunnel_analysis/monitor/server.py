@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serves the page, sends every open one what changed, and takes their requests.
 
-Only the WebSocket takes requests, and it opens to none but the page served here. Who may look and who may drive: the
-address the page was asked under, the page that asks, and the token decide.
+Only the WebSocket takes requests, and it opens only for the page served here. Access depends on the
+address under which the page was requested, the requesting page, and the token.
 """
 
 import asyncio
@@ -113,7 +113,7 @@ def _own_names() -> set[str]:
 
 
 class Guarded(tornado.web.RequestHandler):
-    """Answers only who names this server and shows its token."""
+    """Answers only requests that name this server and show its token."""
 
     @property
     def access(self) -> Access:
@@ -168,7 +168,7 @@ class File(Guarded, tornado.web.StaticFileHandler):
 
 
 class Report(Guarded):
-    """A report that a diagnosis wrote: a page with everything inside, kept apart from ours."""
+    """A report of a diagnosis: a self-contained page, isolated from ours."""
 
     def initialize(self, reports: Mapping[int, Path]) -> None:
         self._reports = reports
@@ -192,7 +192,7 @@ class PastTrial(Guarded):
 
 
 class WhatIfTable(Guarded):
-    """The trajectories that belong to the value that was moved last."""
+    """The trajectories for the value that was changed last."""
 
     def initialize(self, table: Callable[[], dict[str, Any] | None]) -> None:
         self._table = table
@@ -296,7 +296,7 @@ class MonitorServer:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """The address to open in a browser."""
         host = "localhost" if self.access.host in ("0.0.0.0", "::", "") else self.access.host
         shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/" + (f"?token={self.access.token}" if self.access.token else "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a session at the page: play, diagnose, add, play again. One thing at a time; and values to move."""
+"""The course of a session at the page: play, diagnose, add, play again. One job at a time; and values to vary."""
 
 import queue
 import threading
@@ -61,10 +61,10 @@ EXPERIMENT = "next_experiment.yaml"
 
 
 class Work:
-    """A task in a process of its own, if any.
+    """A task in a separate process, if any.
 
     Attributes:
-        doing: how far it is, in words.
+        doing: its progress, in words.
         began: monotonic s.
     """
 
@@ -96,7 +96,7 @@ class Work:
         self._threads.shutdown()
 
     def ended(self) -> tuple[Path, dict[str, Any] | None, str, str] | None:
-        """The task that ended since the last call: what it wrote, its content or None, its kind, and a complaint."""
+        """The task that ended since the last call: its file, its content or None, its kind, and a complaint."""
         if self._task is None or not self._result.done():
             return None
         task, self._task = self._task, None
@@ -137,14 +137,14 @@ class RigAccess(Protocol):
 
     @property
     def ready(self) -> bool:
-        """Whether something is there that plays."""
+        """Whether a player is running."""
 
     @property
     def playing(self) -> bool:
-        """Whether a run was asked for and has not ended; `Session.played` is called at its end."""
+        """Whether a run was requested and has not ended; `Session.played` is called at its end."""
 
     def alive(self, side: str) -> bool:
-        """Whether a side measures."""
+        """Whether a side publishes joint states."""
 
     @property
     def analysed(self) -> bool:
@@ -154,20 +154,20 @@ class RigAccess(Protocol):
         """Plays on every side and records one bag per side in `folder`."""
 
     def stop(self) -> None:
-        """Has the run end early."""
+        """Ends the run early."""
 
     def load(self, model: Path) -> None:
-        """Has the simulation run a model; `Session.loaded` is called with the answer."""
+        """Loads a model into the simulation; `Session.loaded` is called with the answer."""
 
     def publish(self, verdict: dict[str, Any], report: str) -> None:
         """Publishes the content of a diagnosis.json and sends it to all pages."""
 
 
 class Session:
-    """Takes requests from any thread and does them in the one that calls `look`.
+    """Takes requests from any thread and carries them out in the one that calls `look`.
 
     Args:
-        out: folder in which monitor-N is made once something is to be kept.
+        out: folder in which monitor-N is made as soon as something is to be kept.
         model: name or path of the model to diagnose where the simulation reports no file.
         candidates: effects to consider in a diagnosis; none for all.
 
@@ -200,7 +200,7 @@ class Session:
         """Takes a request; may be called from any thread.
 
         Raises:
-            InputError: a value that cannot be moved now. Such requests do not wait for the next look: a slider is
+            InputError: a value that cannot be varied now. Such requests do not wait for the next look: a slider is
                 expected to follow at once.
         """
         match request:
@@ -214,7 +214,7 @@ class Session:
                 self._requests.put(request)
 
     def look(self, pages: int) -> None:
-        """Does what was asked for and what follows from work that ended; `pages` are open. To be called often."""
+        """Carries out requests and follow-ups of finished jobs; `pages` are open. To be called often."""
         if ended := self._work.ended():
             self._worked(*ended)
         while not self._requests.empty():
@@ -253,7 +253,7 @@ class Session:
         self._state.note(message, "info" if success else "error")
 
     def close(self) -> None:
-        """Interrupts work under way."""
+        """Interrupts the current job."""
         self._work.close()
         self._reruns.close()
 
@@ -262,7 +262,7 @@ class Session:
         return self._steps.file or self._given_model
 
     def _move_values(self) -> None:
-        """The values of the model that runs now, over the last run, can be moved."""
+        """Offers the values of the running model to be varied on the last run."""
         try:
             self._reruns.use(tuple(map(Path, self._bags)), self._model)
         except InputError as error:
@@ -319,7 +319,7 @@ class Session:
             raise InputError("Wait until the current job has ended, or stop it.")
 
     def _new(self, kind: str, name: str = "") -> Path:
-        """A path that nothing has yet, in a folder of this session."""
+        """An unused path in a folder of this session."""
         if self._folder is None:
             self._folder = numbered_folder(self._out, "monitor", "`-p folder:=...`")
         self._made[kind] += 1
@@ -349,7 +349,7 @@ class Session:
         self._rig.publish(content, str(self.reports[number]))
 
     def _offer(self) -> None:
-        """Shows the sequences that can be chosen: those that diagnoses proposed, and all that have a name."""
+        """Shows the sequences that can be chosen: those proposed by diagnoses, and all named ones."""
         sequences = []
         for name in (*self._experiments, *config.names("sequences")):
             try:
@@ -399,9 +399,9 @@ class _Wanted:
 
 
 class Reruns:
-    """Simulates the last command of a run again while a value of the model is moved, in a thread of its own.
+    """Simulates the last command of a run again while a value of the model is varied, in a separate thread.
 
-    Of several requests that wait only the newest is done. May be used from any thread.
+    Of several waiting requests only the newest is done. May be used from any thread.
     """
 
     def __init__(self, state: State) -> None:
@@ -416,7 +416,7 @@ class Reruns:
         self._prepared: tuple[tuple[Path, ...], str, WhatIf] | None = None
 
     def use(self, bags: Sequence[Path], model: str) -> None:
-        """From now on it is about these recordings and this model; about nothing where one of them is missing.
+        """Uses these recordings and this model from now on; nothing if one of them is missing.
 
         Raises:
             InputError: the model cannot be read.
@@ -429,7 +429,7 @@ class Reruns:
         self._state.put(Adjustables(offered))
 
     def ask(self, name: str, value: float | None) -> None:
-        """Moves a value, None to what the model has; the answer is shown in the state, a complaint in its log.
+        """Changes a value, None to the model's own; the answer is shown in the state, a complaint in its log.
 
         Raises:
             InputError: nothing is recorded yet, or the name is not offered.
@@ -443,14 +443,14 @@ class Reruns:
         self._threads.submit(self._next)
 
     def end(self) -> None:
-        """Shows no answer any more, nor one that is under way."""
+        """Removes the answer, and drops one that is being computed."""
         with self._lock:
             self._wanted = None
             self._turn += 1
             self._state.show_what_if(WhatIfPart(), None)
 
     def close(self) -> None:
-        """Waits until the one under way is done."""
+        """Waits until the current one is done."""
         with self._lock:
             self._wanted = None
         self._threads.shutdown()

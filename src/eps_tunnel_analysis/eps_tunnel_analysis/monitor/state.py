@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that the page shows, with what changed since when; written by one thread, read by another."""
+"""Everything that the page shows, with its changes; written by one thread, read by another."""
 
 import math
 import threading
@@ -43,8 +43,8 @@ BY_HAND = "loaded by hand"
 class TunnelTable:
     """One row per ROW_STEP of the command.
 
-    A row holds mean, lower and upper limit of reality, the simulation, that of the model before, and whether the
-    simulation is inside; COLLECTING while there is one real trial, whose tunnel has no width.
+    A row holds mean, lower and upper limit of reality, the simulation, that of the previous model, and whether the
+    simulation is inside; COLLECTING while there is only one real trial, whose tunnel has no width.
 
     Attributes:
         revision: number that rows written from now on get.
@@ -99,7 +99,7 @@ class TunnelTable:
         self._last = row
 
     def new_model(self) -> None:
-        """The simulation runs another model: what it did so far is kept beside for comparison."""
+        """The simulation runs another model: its results so far are kept for comparison."""
         self._values[:, :, BEFORE] = self._values[:, :, SIMULATED]
         self._values[:, :, SIMULATED] = np.nan
         self._alike[:] = NOT_SEEN
@@ -107,14 +107,14 @@ class TunnelTable:
 
     @property
     def written(self) -> bool:
-        """Whether the trial that began last has brought rows."""
+        """Whether the latest trial has written rows."""
         return self._written
 
     def changes(self, seen: int) -> dict[str, Any] | None:
         """Rows written after revision `seen`; None where there are none.
 
         rows: [row, [mean, lower, upper, simulated, before, inside] of each signal], None where unknown; inside is -1
-        where a value is missing, 2 where one trial alone was there. `whole` says that all rows known before are gone.
+        where a value is missing, 2 where one trial alone was there. `whole` says that all earlier rows are gone.
         """
         rows = np.flatnonzero(self._changed > seen)
         whole = self._began > seen
@@ -169,7 +169,7 @@ class State:
         self._what_if: dict[str, Any] | None = None
 
     def put(self, part: Part) -> None:
-        """Replaces the part of this kind; one that says the same as before is no change."""
+        """Replaces the part of this kind; an equal one is no change."""
         with self._lock:
             self._put(part)
 
@@ -182,7 +182,7 @@ class State:
             self._put(Log((*entries, (number, time.time(), level, text))[-LOG_LENGTH:]))
 
     def trial(self, key: str, duration: float) -> None:
-        """A trial of a command begins, as `TunnelTable.start`; what the one before showed can be looked at again."""
+        """A trial of a command begins, as `TunnelTable.start`; the previous one can be looked at again."""
         with self.tunnel() as table:
             whole = table.changes(-1) if table.written else None
             if whole and whole["rows"]:
@@ -251,13 +251,13 @@ class _Locked:
 
 
 class RecentHealth:
-    """What went wrong with the samples lately; a bad start is not held against what comes after."""
+    """Recent problems with the samples; a bad start does not count later."""
 
     def __init__(self) -> None:
         self._counts: deque[tuple[float, int, int, int]] = deque()
 
     def at(self, seconds: float, health: Health) -> Health:
-        """The counts with `troubled`: the share of the samples of the last WINDOW that came late or not at all.
+        """The counts with `troubled`: share of the samples of the last WINDOW that came late or not at all.
 
         Args:
             seconds: when they were counted, on a clock that only goes on.
@@ -291,7 +291,7 @@ class Steps:
         self.model = self.file = ""
 
     def announce(self, change: str, held_out: float | None) -> None:
-        """What changed the model that will be loaded next, and what it left on samples held out, in the rig's unit."""
+        """How the model that will be loaded next was changed, and its error on held-out samples, in the rig's unit."""
         self._next = (change, held_out)
 
     def runs(self, model: str, file: str, loads: str) -> bool:
@@ -312,7 +312,7 @@ class Steps:
         return True
 
     def trial_started(self) -> None:
-        """Figures that come from now on are those of the model that runs."""
+        """Figures from now on belong to the running model."""
         self._fresh = True
 
     def gap(
@@ -337,7 +337,7 @@ class Steps:
             self._publish()
 
     def diagnosed(self, held_out: float | None) -> None:
-        """The running model's error on samples held out, in the rig's unit."""
+        """The running model's error on held-out samples, in the rig's unit."""
         if self._steps:
             self._steps[-1] = replace(self._steps[-1], held_out=held_out)
             self._publish()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which kind of drive a joint's recordings look like, and with which values to begin.
+"""Which kind of drive a joint's recordings suggest, and which values to start from.
 
-Where an effort is recorded the law is read from it: effort = K (target - angle) - C speed, a straight line. Where none
-is, but the joint stays behind its target in proportion to its weight, the drive gives way as a P control of the duty
-cycle does. Else the answer of a first and of a second order to the commands are fitted, and the better one decides.
+If an effort is recorded, the law is fitted to it: effort = K (target - angle) - C speed, which is linear. If none
+is, but the joint stays behind its target in proportion to its weight, the drive sags like a P control of the duty
+cycle. Otherwise a first-order and a second-order response to the commands are fitted, and the better one decides.
 """
 
 from collections.abc import Sequence
@@ -105,8 +105,8 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
 
 
 def _damped(samples: Sequence[Sampled], scale: float, zero: float) -> str:
-    """Why an effort is all that turns the joint: it is a law of error and speed that damps as the joint's motion is
-    damped; "" where it is not. A duty leaves out what the motor's own voltage damps.
+    """Why an effort is the whole torque on the joint: it is a law of error and speed that damps as the joint's motion
+    is damped; "" if it is not. A duty does not include the damping by back-EMF.
     """
     share, k, c, _ = _laws(samples, scale, zero)
     if share <= 0.0 or c <= 0.0:
@@ -122,7 +122,7 @@ def _damped(samples: Sequence[Sampled], scale: float, zero: float) -> str:
 
 
 def _inverse(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float]:
-    """How much of the effort the torque that the motion needs explains, and times what."""
+    """Share of the effort that is explained by the torque needed for the motion, and the factor between them."""
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     at = robot.mj.joint(joint)
     need, have = [], []
@@ -150,7 +150,7 @@ def _inverse(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float,
 
 
 def _needed(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> float:
-    """N m (N) that the recorded motion takes but for a hundredth of its time, by the model's inertia and weight."""
+    """N m (N) that the recorded motion needs in 99 % of the time, by the model's inertia and weight."""
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     at = robot.mj.joint(joint)
     inertia, _ = inertia_of(robot, joint)
@@ -167,7 +167,7 @@ def _needed(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, 
 
 
 def derivatives(s: Sampled, scale: float, zero: float) -> tuple[Array, Array, Array]:
-    """Position, speed and acceleration in SI, smoothed over some 50 ms."""
+    """Position, speed and acceleration in SI, smoothed over about 50 ms."""
     from scipy.signal import savgol_filter
 
     q = scale * (s.position - zero)
@@ -309,10 +309,10 @@ def _duty_values(kp: Proposed, stall: float, why: str, n: str, rad: str) -> dict
 
 
 def _yielding(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float]:
-    """How much of what else the error leaves the weight explains, and the stiffness with which the drive bears it,
-    N m/rad (N/m): the median of the recordings whose error (target - angle) a straight law explains.
+    """Share of the remaining error that the weight explains, and the stiffness with which the drive carries it,
+    N m/rad (N/m): the median of the recordings whose error (target - angle) a linear law explains.
 
-    error = (inertia acceleration + weight) / K + c speed + f sign(speed): what a P control of the duty cycle leaves.
+    error = (inertia acceleration + weight) / K + c speed + f sign(speed): the error of a P control of the duty cycle.
     """
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     at = robot.mj.joint(joint)
@@ -341,7 +341,7 @@ def _yielding(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float
 
 
 def _beside(columns: Array, wanted: Array) -> Array:
-    """What a straight law in `columns` leaves of `wanted`."""
+    """Residual of `wanted` after a linear fit in `columns`."""
     return np.asarray(wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0])
 
 
@@ -350,9 +350,9 @@ def _error(samples: Sequence[Sampled], scale: float) -> float:
 
 
 def _laws(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float, float, bool]:
-    """As `_law`, of the recordings one by one, for they may have been made with different gains; a share of 0 unless a
-    third of them show a law, or all of them roughly the same one. Steps alone do not: what is logged at a jump belongs
-    to the time before it. Where ticks are a large part of the error no single recording may.
+    """As `_law`, of the recordings one by one, because they may have been made with different gains; a share of 0
+    unless a third of them show a law, or all of them roughly the same one. Steps alone do not: the sample logged at a
+    jump belongs to the time before it. Where ticks are a large part of the error no single recording may.
     """
     laws = [_law([s], scale, zero) for s in samples]
     good = [law for law in laws if law[0] > LAW and law[1] > 0.0]
@@ -365,7 +365,7 @@ def _laws(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float,
 
 
 def _law(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float, float, bool]:
-    """Share of the effort explained by K error - C speed, K, C, and whether the effort is cut off at its largest."""
+    """Share of the effort explained by K error - C speed, K, C, and whether the effort is clipped at its largest."""
     rows, efforts = [], []
     for s in samples:
         q, v, _ = derivatives(s, scale, zero)
@@ -387,10 +387,11 @@ def _law(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, 
 
 
 def _orders(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """(error, P, delay) of the first order's best answer; (error, frequency, damping ratio, delay) of the second's."""
+    """(error, P, delay) of the best first-order response; (error, frequency, damping ratio, delay) of the best
+    second-order response."""
     lively = sorted(samples, key=lambda one: -float(np.nan_to_num(np.nanstd(one.target))))
-    # What saturates, or was switched off, is no straight answer, and slow motion tells no order: the recording tells
-    # in which a second order answers most better than a first; where none does, the one that is answered best.
+    # A saturated or switched-off drive does not respond linearly, and slow motion does not show the order. So take the
+    # recording where a second-order response is better than a first-order one by most, or else the best matched one.
     fits = [_orders_of(s, scale, zero) for s in lively[:: max(1, len(lively) // ANSWERS)][:ANSWERS]]
     clearest = min(fits, key=lambda orders: orders[1][0] / max(orders[0][0], 1e-300))
     if clearest[1][0] < BETTER * clearest[0][0]:

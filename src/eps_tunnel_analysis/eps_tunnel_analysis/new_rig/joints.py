@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot's model and its recordings share: joints by name, actuators, topics, limits, units."""
+"""What a robot's model and its recordings have in common: joints by name, actuators, topics, limits, units."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -29,9 +29,9 @@ class Robot:
 
     Attributes:
         joints: hinge and slide joints by name.
-        actuators: joint -> the actuator that drives it, of those that have one.
-        unnamed: joints whose actuator has no name in the file and is given one here.
-        others: joint -> further actuators on it, which would act beside the drive.
+        actuators: joint -> the actuator that drives it, for joints that have one.
+        unnamed: joints whose actuator has no name in the file and gets one here.
+        others: joint -> further actuators on it, which would act in addition to the drive.
     """
 
     path: Path
@@ -64,7 +64,7 @@ def read_robot(path: Path) -> Robot:
 
 
 def name_actuators(spec: mujoco.MjSpec) -> frozenset[str]:
-    """Gives joints' actuators without a name that of their joint; returns the new names."""
+    """Names unnamed actuators after their joint; returns the new names."""
     taken = {actuator.name for actuator in spec.actuators}
     given = set()
     for actuator in spec.actuators:
@@ -78,7 +78,8 @@ def name_actuators(spec: mujoco.MjSpec) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Topics:
-    """Where joint states and commands are in recordings, and the rig file's `topics` entries where that is unusual."""
+    """Where joint states and commands are in recordings, and the rig file's `topics` entries if they are not the
+    default."""
 
     states: str
     commands: str | None
@@ -109,7 +110,7 @@ def find_topics(recording: Recording) -> Topics:
 
 @dataclass(frozen=True)
 class Match:
-    """One joint of the model and the name that recordings have for it; `why` they are taken for the same."""
+    """One joint of the model and the name that recordings have for it; `why` they are considered the same."""
 
     joint: str
     recorded: str
@@ -123,7 +124,7 @@ def match_joints(
     """Joints of the model that recordings measure and command.
 
     Args:
-        given: joint of the model -> recorded name, as a person said.
+        given: joint of the model -> recorded name, as stated by the user.
 
     Raises:
         InputError: none match, or a given name does not exist; lists both sides.

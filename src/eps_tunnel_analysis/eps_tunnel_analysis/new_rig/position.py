@@ -40,7 +40,7 @@ class PositionUnit:
         scale: rad or m of one recorded unit.
         zero: recorded value at which the joint is at 0.
         entry, speed_entry: how the rig file states it, for a position and a velocity; "" for SI.
-        doubt: what should be seen to, "" where nothing.
+        doubt: what the user should check, "" for nothing.
     """
 
     name: str
@@ -61,10 +61,10 @@ def position_unit(
         bounds: (2,) of the joint in the model, rad or m; None where it has none.
         seen, sent: recorded positions and targets, (n,) each.
         given: as the user stated it; otherwise inferred from the range.
-        ticks: what positions in ticks stand for.
+        ticks: how to convert positions in ticks.
 
     Raises:
-        InputError: nothing fits, or what ticks stand for is not said.
+        InputError: nothing fits, or the conversion of ticks is not stated.
     """
     name, why = (given, "as --position-unit says") if given else _told(slides, bounds, seen, sent)
     doubt = "" if slides else _normalised(match.recorded, seen, sent)

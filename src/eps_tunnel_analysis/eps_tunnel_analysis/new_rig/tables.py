@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables that other programs logged, as bags: CSV files whose columns are found by name, and LeRobot datasets."""
+"""Tables logged by other programs, as bags: CSV files whose columns are found by name, and LeRobot datasets."""
 
 import json
 import re
@@ -28,7 +28,7 @@ MOST_FRAMES = 1e8  # of a dataset
 
 
 def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tuple[list[Path], list[str]]:
-    """One bag for each CSV file, in a folder, and sentences on what was taken for what.
+    """One bag for each CSV file, in a folder, and sentences on how columns were interpreted.
 
     Args:
         joints: names of the model's joints, by which columns are distinguished; one joint needs no name.
@@ -84,8 +84,8 @@ def _columns(table: Path, joints: Sequence[str], notes: list[str]) -> CsvColumns
 def _add_lists(
     table: Path, columns: Iterable[str], joints: Sequence[str], by_quantity: dict[str, dict[str, str]], notes: list[str]
 ) -> None:
-    """Takes columns of lists for what joints have no column of their own for, in the model's order of joints; says
-    so, and which are left out."""
+    """Uses columns of lists for quantities without a column per joint, in the model's order of joints; notes which are
+    used, and which are left out."""
     lists: dict[str, list[str]] = {}
     for name in columns:
         if base := _base(name, joints):
@@ -109,8 +109,8 @@ def _add_lists(
 
 
 def _base(column: str, joints: Sequence[str]) -> str:
-    """The name of the list that a column is an element of; "" where it is none, or its place is part of a joint's
-    name, as of q[1] and the joint q1."""
+    """The name of the list that a column is an element of; "" if it is not one, or if its index is part of a joint's
+    name, such as q[1] and the joint q1."""
     listed = ELEMENT.fullmatch(column)
     if not listed or _joint_of(column, joints) != _joint_of(listed[1], joints):
         return ""
@@ -118,7 +118,7 @@ def _base(column: str, joints: Sequence[str]) -> str:
 
 
 def _clock(times: Array) -> float:
-    """s of one unit of a clock: no rig of ours is sampled more slowly than at 1 Hz or faster than at 1 MHz."""
+    """s of one unit of a clock: no rig is expected to be sampled below 1 Hz or above 1 MHz."""
     step = float(np.nanmedian(np.diff(times))) if len(times) > 1 else 1.0
     return 1.0 if step < 1.0 else 1e-3 if step < 1e3 else 1e-6 if step < 1e5 else 1e-9
 
@@ -211,7 +211,7 @@ def lerobot_bags(dataset: Path, folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def _names(feature: Mapping[str, Any]) -> list[str]:
-    """Names of a feature's elements without what they all end in, as `.pos`."""
+    """Names of a feature's elements without their common ending, such as `.pos`."""
     names = feature["names"]
     flat = next(iter(names.values()), ()) if isinstance(names, Mapping) else names
     plain = [str(name).removesuffix(".pos").removesuffix("_pos") for name in flat]
@@ -219,7 +219,8 @@ def _names(feature: Mapping[str, Any]) -> list[str]:
 
 
 def _stacked(column: Any, joints: int) -> Array:
-    """Of N rows: (N,), or (N, joints) of lists. Raises ValueError for what is no number, or lists of another length."""
+    """Of N rows: (N,), or (N, joints) of lists. Raises ValueError for values that are not numbers, or lists of another
+    length."""
     values = np.array(column.to_pylist(), dtype=np.float64)
     if values.shape[1:] != ((joints,) if joints else ()):
         raise ValueError(f"rows of {values.shape[1:]} numbers where {joints or 1} are expected")

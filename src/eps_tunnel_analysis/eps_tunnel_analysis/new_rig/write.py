@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new rig: from a model and recordings to `rig.yaml` and `model.yaml`, a reason beside every value."""
+"""A new rig: from a model and recordings to `rig.yaml` and `model.yaml`, with a reason for every value."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class NewRig:
 
     Attributes:
         model: its file.
-        notes: one sentence each on what was taken for what.
+        notes: one sentence each on how the recordings were interpreted.
         known: rules for --known, where recordings were made with different gains.
     """
 
@@ -78,14 +78,14 @@ def new_rig(
     effort: str | None = None,
     ticks: Ticks | None = None,
 ) -> NewRig:
-    """Writes rig.yaml and model.yaml into a folder, and robot.xml where a joint lacks an actuator with a name or has
+    """Writes rig.yaml and model.yaml into a folder, and robot.xml if a joint lacks a named actuator or has
     several.
 
     Args:
         match: joint of the model -> recorded name.
         position: unit of recorded positions and targets; inferred from their range where None.
         effort: unit of recorded efforts; inferred from the model's inverse dynamics where None.
-        ticks: what positions in ticks stand for.
+        ticks: how to convert positions in ticks.
 
     Raises:
         InputError: nothing matches, or no recording can be read.
@@ -116,7 +116,7 @@ def new_rig(
 
 
 def _found(a: AxisProposal) -> list[str]:
-    """What an axis was taken for."""
+    """How an axis was interpreted."""
     effort = f" Its effort is in {a.drive.effort}: {a.drive.effort_why}." if a.drive.effort else ""
     return [
         *([a.unit.doubt] if a.unit.doubt else []),

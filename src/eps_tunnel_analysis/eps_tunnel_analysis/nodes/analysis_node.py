@@ -61,7 +61,7 @@ class DiagnoseServer:
         return self._goals.busy
 
     def close(self) -> None:
-        """Waits for the end of what runs; `node.stopping` calls it off."""
+        """Waits for the end of the current job; `node.stopping` cancels it."""
         self._goals.close()
 
     def _work(self, handle: Handle) -> None:
@@ -200,7 +200,7 @@ class AnalysisNode(TunnelNode):
         return {**units, "ball_x": "m", "ball_y": "m"}
 
     def _received(self, side: str, name: str, topic: str, raw: bytes, arrival: int) -> None:
-        # Recording goes on, whatever anybody sends.
+        # Recording continues, whatever is sent.
         try:
             self._follow(side, name, topic, raw, arrival)
         except InputError as error:
@@ -237,7 +237,7 @@ class AnalysisNode(TunnelNode):
         return tuple(names), np.array(values)
 
     def _gap_at(self, rate: float) -> LiveGap:
-        """A gap without trials but those of the reference. Raises InputError for what is no bag of real trials."""
+        """A gap with only the trials of the reference. Raises InputError for a bag that has no real trials."""
         gap = self._empty_gap(rate=rate)
         if not self._reference:
             return gap
@@ -413,7 +413,7 @@ class AnalysisNode(TunnelNode):
 
 
 def _rate_of(file: str) -> float:
-    """Hz, of the rig of a model's file; RATE where there is none that this machine can read."""
+    """Rate, Hz, of the rig of a model's file; RATE if this machine cannot read the file."""
     try:
         return load_model(file).rig.rate if file else RATE
     except InputError:

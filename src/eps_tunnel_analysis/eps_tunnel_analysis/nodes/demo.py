@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole loop on an emulated rig that hides something: gap, where, why, add, and the gap again."""
+"""The whole loop on an emulated rig with a hidden effect: gap, where, why, add, and the gap again."""
 
 import argparse
 import os
@@ -32,7 +32,7 @@ HIDDEN, NOTHING = "gravity_load.y=medium", "none"
 
 
 def walk(rig: EmulatedRig, plan: Plan, folder: Path) -> Path:
-    """Runs the rig and goes once round the loop into an empty folder; returns the report's path."""
+    """Runs the rig and one iteration of the loop, into an empty folder; returns the report's path."""
     model = load_model(plan.model)
     say = console().print
     say(f"Demo into {folder}: bags, models, logs and reports.", soft_wrap=True)

@@ -51,7 +51,7 @@ ANALYSIS_SILENT = 4.0  # s
 
 
 class Inputs:
-    """Takes what came since the last look and shows it.
+    """Takes what came since the last poll and shows it.
 
     Attributes:
         duration: s, of the command whose trial began last.
@@ -80,16 +80,16 @@ class Inputs:
         self.own_verdict = -1  # ns, stamp of the verdict that this node published
 
     def alive(self, side: str) -> bool:
-        """Whether a side measures."""
+        """Whether a side publishes joint states."""
         return side in self._poses and time.monotonic() - self._poses[side][0] < SILENT
 
     @property
     def analysed(self) -> bool:
-        """Whether the analysis node is there."""
+        """Whether the analysis node is running."""
         return time.monotonic() - self._heard < ANALYSIS_SILENT
 
     def take(self) -> bool:
-        """Returns whether the simulation runs another model than before."""
+        """Returns whether the simulation has changed its model."""
         changed = False
         for model in self._models.take():
             changed |= self._steps.runs(model.name, model.file, str(model.loaded))
@@ -142,7 +142,7 @@ class Inputs:
                 )  # fmt: skip
 
     def _fits(self, message: Any, whether: Callable[[Any], bool]) -> bool:
-        """Whether the parts of a message belong together; another than ours may have sent it."""
+        """Whether the parts of a message are consistent; a foreign node may have sent it."""
         fits = whether(message)
         if not fits:
             text = f"Ignored a {type(message).__name__} whose arrays do not have as many numbers as it has signals."
@@ -203,7 +203,7 @@ class PlayerClient:
     """One run at a time.
 
     Attributes:
-        playing: whether one was asked for and has not ended.
+        playing: whether one was requested and has not ended.
     """
 
     def __init__(
@@ -218,7 +218,7 @@ class PlayerClient:
 
     @property
     def ready(self) -> bool:
-        """Whether the player is there."""
+        """Whether the player is running."""
         return bool(self._client.server_is_ready())
 
     def play(self, sequence: str, trials: int, folder: Path) -> None:
@@ -229,7 +229,7 @@ class PlayerClient:
         future.add_done_callback(self._answered)
 
     def stop(self) -> None:
-        """Has the run end early."""
+        """Ends the run early."""
         self._stop = True
         if self._handle is not None:
             self._handle.cancel_goal_async()
@@ -256,13 +256,13 @@ class PlayerClient:
 
 
 class SimulationClient:
-    """Has the simulation run another model."""
+    """Loads another model into the simulation."""
 
     def __init__(self, node: Node) -> None:
         self._client = node.create_client(LoadModel, "sim/load_model")
 
     def load(self, model: Path, answered: Callable[[bool, str], None]) -> None:
-        """`answered` gets whether it does, and the simulation's words."""
+        """`answered` gets whether it does, and the simulation's message."""
         if not self._client.service_is_ready():
             answered(False, f"No node offers {self._client.service_name}. The model is in {model}.")
             return
@@ -317,7 +317,7 @@ class Monitor(TunnelNode):
 
     @property
     def ready(self) -> bool:
-        """Whether the player is there."""
+        """Whether the player is running."""
         return self._player.ready
 
     @property
@@ -327,27 +327,27 @@ class Monitor(TunnelNode):
 
     @property
     def analysed(self) -> bool:
-        """Whether the analysis node is there."""
+        """Whether the analysis node is running."""
         return self._inputs.analysed
 
     def alive(self, side: str) -> bool:
-        """Whether a side measures."""
+        """Whether a side publishes joint states."""
         return self._inputs.alive(side)
 
     def play(self, sequence: str, trials: int, folder: Path) -> None:
-        """Has the player play and record."""
+        """Starts a run with recording."""
         self._player.play(sequence, trials, folder)
 
     def stop(self) -> None:
-        """Has the player end the run early."""
+        """Ends the player's run early."""
         self._player.stop()
 
     def load(self, model: Path) -> None:
-        """Has the simulation run a model."""
+        """Loads a model into the simulation."""
         self._simulation.load(model, self._session.loaded)
 
     def publish(self, verdict: dict[str, Any], report: str) -> None:
-        """Publishes a verdict for those who come later, too."""
+        """Publishes a verdict, also for later subscribers."""
         message = diagnosis_message(verdict, report)
         message.header.stamp = self.get_clock().now().to_msg()
         self._inputs.own_verdict = nanoseconds(message.header.stamp)

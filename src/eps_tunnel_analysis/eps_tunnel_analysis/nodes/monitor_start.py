@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Says at once that the monitor starts; its libraries, and an emulated rig, take some seconds."""
+"""Reports at once that the monitor is starting; its libraries, and an emulated rig, take a few seconds."""
 
 import sys
 from collections.abc import Sequence

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays an action sequence on the rig and on its simulation at once, from one clock."""
+"""Plays an action sequence on the rig and on its simulation simultaneously, from one clock."""
 
 import math
 import sys
@@ -108,7 +108,7 @@ class Player(TunnelNode):
         report: Callable[[Progress], None],
         stopped: Callable[[], bool],
     ) -> Outcome:
-        # What was set meanwhile counts from this run on.
+        # Parameters set since the last run apply from this run on.
         self._play.rate, self._play.limits = self._value("rate"), self._limits()
         for rig in self._rigs:
             rig.rest = self._rest_watch()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records what is published under real/ and sim/ into one bag per side, as it comes: serialised, nothing decoded.
 
-A topic is heard with the quality of service that its publishers offer, as rosbag2 does it, unless a parameter fixes it.
+A topic is received with the quality of service that its publishers offer, as in rosbag2, unless a parameter sets it.
 """
 
 import importlib
@@ -38,7 +38,7 @@ from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError
 from labyrinth_msgs.msg import BallEvent, BallState, RunningModel, Trial
 from labyrinth_sim.errors import InputError, unknown_name
 
-# Subscribed from the start; whatever else appears under a side's namespace is found while the node runs.
+# Subscribed from the start; other topics under a side's namespace are found while the node runs.
 TOPICS: Mapping[str, Any] = {
     "joint_commands": JointState,
     "joint_states": JointState,
@@ -69,13 +69,13 @@ class _Topic:
         name: within the side, e.g. `joint_states`.
         full: name after remapping, as in the bag.
         kind, type: message class, and its name.
-        profile: what it is heard with.
+        profile: of its subscription.
         fixed: policies that parameters fix.
-        latched: of each publisher, the messages that it keeps for those who come later, with their publish times, ns.
+        latched: of each publisher, the messages that it keeps for later subscribers, with their publish times, ns.
         count: messages in the running recording.
-        ends: identifiers of the publishers that the subscription can hear.
+        ends: identifiers of the publishers that match the subscription.
         reached: publishers that are matched.
-        heard: whether anything came since the last subscription.
+        heard: whether anything arrived since the last subscription.
     """
 
     side: str
@@ -176,7 +176,8 @@ class Recorder:
     def missing(self, sides: Sequence[str]) -> list[str]:
         """What a recording that began now would not receive although it is published, or expected, in words.
 
-        A side that is named is expected to measure; without names any may, as long as this node is too young to know.
+        A named side is expected to publish joint states; without names any side may, while this node is too young to
+        know.
 
         Args:
             sides: as for `start`. Call `look` before.
@@ -194,8 +195,8 @@ class Recorder:
 
     @property
     def settled(self) -> bool:
-        """Whether nothing new was seen for so long that publishers know this node's subscriptions in turn, and what
-        they keep for those who come later has come."""
+        """Whether nothing new was seen for so long that the publishers also know this node's subscriptions, and the
+        messages that they keep for later subscribers have arrived."""
         return time.monotonic() - self._changed > QUIET
 
     def check(self, sides: Sequence[str]) -> None:
@@ -209,7 +210,7 @@ class Recorder:
         """One new bag per side, folder/LABEL_SIDE.
 
         Args:
-            sides: those to record; those that measure now if empty.
+            sides: those to record; if empty, those that publish joint states now.
 
         Raises:
             InputError: one exists, another recording runs, or there is nothing to record.
@@ -406,7 +407,7 @@ def _received(info: MessageInfo) -> int:
 
 
 def ros_distro() -> str:
-    """The ROS release that runs, e.g. `kilted`; empty where it cannot be told."""
+    """The ROS release that runs, e.g. `kilted`; empty if it is not known."""
     if distro := os.environ.get("ROS_DISTRO"):
         return distro
     names = (re.fullmatch(r"ros-([a-z]+)-rclpy", d.metadata["Name"] or "") for d in distributions())

@@ -111,7 +111,7 @@ def _illegal(name: str) -> str:
         return "topic name must not contain NUL"
     try:
         validate_full_topic_name(name)
-    except InvalidTopicNameException as error:  # its further lines show the name, whatever that does to a terminal
+    except InvalidTopicNameException as error:  # its further lines show the name, which may contain control characters
         return str(error).split("\n")[0].removeprefix("Invalid topic name: ").rstrip(":")
     return ""
 
@@ -159,7 +159,7 @@ def _wait(node: Node, publishers: Sequence[Publisher], longest: float) -> None:
 
 
 def _refuse_others(node: Node, topics: Sequence[str]) -> None:
-    """A rig must not get recorded commands, nor an analysis two measurements at once."""
+    """A rig must not get recorded commands, and an analysis must not get two measurements at once."""
     # One publisher of each topic is this node's. Others' are known before the names of their nodes.
     deadline = time.monotonic() + NAMED
     while True:

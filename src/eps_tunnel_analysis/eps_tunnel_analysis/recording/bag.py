@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bag: the serialised messages of a recording, by topic, as they lie on disk; those of ROS 1 as ROS 2 would have them.
+"""Bag: the serialised messages of a recording, by topic, as stored on disk; those of ROS 1 as in ROS 2.
 
-A folder with metadata.yaml was closed by its recorder and must be whole. A folder without it was never closed (the
-recorder was killed), and so is a lone .mcap file without a footer: those are read up to their last whole chunk.
+A folder with metadata.yaml was closed by its recorder and must be complete. A folder without it was never closed (the
+recorder was killed), and so is a lone .mcap file without a footer: those are read up to their last complete chunk.
 
-A file whose recorder was killed has no index, so records are walked rather than looked up; a whole file is read the
-same way, which for long recordings is also several times faster than message by message in time order.
+A file whose recorder was killed has no index, so records are read in order rather than looked up; a complete file is
+read the same way, which for long recordings is also several times faster than message by message in time order.
 """
 
 import struct
@@ -68,14 +68,14 @@ class RawTopic:
 
 @dataclass
 class McapFile:
-    """What is whole in one file.
+    """The intact part of one file.
 
     Attributes:
         topics: by name; messages in the order of the file.
         metadata: of all metadata records except rosbag2's own.
         complete: whether the file was read up to its proper end.
         fault: where and why reading ended before that.
-        allowance: bytes that its chunks may still become.
+        allowance: bytes that its chunks may still expand to.
     """
 
     allowance: Allowance
@@ -123,7 +123,7 @@ class McapFile:
         self._sinks[channel.id] = topic.log_times.append, topic.messages.append
 
     def add_records(self, data: bytes) -> None:
-        """The records of one uncompressed chunk. The loop runs once a message, so it does little."""
+        """The records of one uncompressed chunk. The loop runs once per message, so it does little."""
         at, end, unpack, is_message, sinks = 0, len(data), MESSAGE_START.unpack_from, int(Opcode.MESSAGE), self._sinks
         while at < end:
             opcode = data[at]
@@ -149,7 +149,7 @@ class TwoTypesError(Exception):
 
 
 def read_mcap(file: Path) -> McapFile:
-    """All that is whole in a file that begins as an MCAP file does. Raises TwoTypesError."""
+    """Everything intact in a file that begins like an MCAP file. Raises TwoTypesError."""
     contents = McapFile(Allowance.of([file]))
     for at, opcode, body in _records(file):
         if opcode == Opcode.FOOTER:
@@ -180,7 +180,7 @@ def _records(file: Path) -> Iterator[tuple[int, int, bytes]]:
 
 
 class _CheckedMcap(McapReader):
-    """rosbags judges the index, but only of a file whose chunks are whole: it decompresses whatever they declare."""
+    """rosbags checks the index, but only of a file whose chunks are intact: it decompresses whatever they declare."""
 
     def open(self) -> None:
         self.content = read_mcap(Path(str(self.path)))
@@ -250,7 +250,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _closed(path: Path, source: Path) -> Bag:
-    """A bag that must be whole. rosbags judges index and metadata; it also reads all that is not MCAP."""
+    """A bag that must be complete. rosbags checks index and metadata; it also reads everything that is not MCAP."""
     try:
         if source.is_dir():
             _check_metadata(source)
@@ -284,7 +284,8 @@ def _closed(path: Path, source: Path) -> Bag:
 
 
 def _check_metadata(folder: Path) -> None:
-    """Raises before rosbags reads it where metadata.yaml is out of all bounds, or a file becomes more than it may."""
+    """Raises before rosbags reads them if metadata.yaml is much too large, or a file expands to more than is
+    allowed."""
     document = read_yaml(folder / "metadata.yaml")
     about = ("rosbag2_bagfile_information",)
     if str(document.value((*about, "compression_mode"))).lower() == "file":
@@ -296,7 +297,7 @@ def _check_metadata(folder: Path) -> None:
 
 
 def _iterated(storage: Any, allowance: Allowance) -> dict[str, RawTopic]:
-    """The topics of a file that is no MCAP file."""
+    """The topics of a file that is not MCAP."""
     topics: dict[str, RawTopic] = {}
     for connection in storage.connections:
         topic = topics.setdefault(connection.topic, RawTopic(connection.topic, connection.msgtype, connection.msgdef))
@@ -363,7 +364,7 @@ def _lone_file(path: Path, file: Path) -> Bag:
 
 
 def _ros1(path: Path, file: Path) -> Bag:
-    """A file of ROS 1, which must be whole and have its index."""
+    """A file of ROS 1, which must be complete and have its index."""
     try:
         allowance = Allowance.of([file])
         with Ros1File(file, allowance) as opened:
@@ -379,10 +380,10 @@ def _ros1(path: Path, file: Path) -> Bag:
 
 
 def recovered(path: Path, file: Path) -> Bag:
-    """What is whole in an MCAP file that was never closed or was damaged.
+    """The intact part of an MCAP file that was never closed or was damaged.
 
     Raises:
-        InputError: nothing is.
+        InputError: nothing is intact.
     """
     try:
         contents = read_mcap(file)

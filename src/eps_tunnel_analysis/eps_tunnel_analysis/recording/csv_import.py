@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A table of samples (CSV) to a bag, for rigs that log text."""
+"""Converts a table of samples (CSV) to a bag, for rigs that log text."""
 
 import csv
 import re
@@ -53,7 +53,7 @@ def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/r
     An empty cell in every command of a row means that no command was sent then; likewise for the measurements.
 
     Returns:
-        What looks odd in the table, one sentence each.
+        What looks wrong in the table, one sentence each.
 
     Raises:
         InputError: the file, a column or a number cannot be read, a row is only partly filled, or `out` exists or
@@ -163,7 +163,7 @@ def _elements(table: Path, name: str, cells: list[str]) -> dict[str, list[str]]:
 
 
 def _list(cell: str) -> list[str] | None:
-    """The elements of a cell that is a list of numbers: in brackets, or parted by spaces."""
+    """The elements of a cell that is a list of numbers: in brackets, or separated by spaces."""
     inside = cell.strip("[]()")
     parts = [part for part in re.split(r"[,;\s]+", inside) if part]
     if not parts or (len(parts) == 1 and inside == cell):
@@ -191,7 +191,7 @@ def _numbers(table: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
 
 
 def _stamps(table: Path, name: str, cells: list[str], scale: float) -> NDArray[np.int64]:
-    """(n,) ns from the first row on."""
+    """(n,) ns since the first row."""
     seconds = scale * _numbers(table, name, cells)
     steps = np.diff(seconds)
     bad = np.flatnonzero(np.isnan(seconds)) if np.isnan(seconds).any() else np.flatnonzero(steps <= 0) + 1

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be read but can hardly be meant: stray samples, and angles that look like degrees.
+"""Values that can be read but are probably wrong: stray samples, and angles that look like degrees.
 
-Nothing is left out because of it: who recorded knows better. It is said wherever the recording is used.
+Nothing is left out because of them; a warning is given wherever the recording is used.
 """
 
 import math
@@ -52,7 +52,7 @@ class Samples:
 
 
 def doubts(channels: Iterable[Samples], cure: str = "") -> list[str]:
-    """One sentence for each channel and doubt, over all its trials; `cure` says what to try against degrees."""
+    """One sentence for each channel and doubt, over all its trials; `cure` says what to do about degrees."""
     of: dict[str, list[Samples]] = {}
     for samples in channels:
         if len(samples.values):

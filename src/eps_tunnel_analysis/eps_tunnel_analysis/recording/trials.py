@@ -136,7 +136,7 @@ def cut(lengths: Sequence[float], labels: Sequence[str], rate: float, to_shortes
 
 
 def visible(topic: StampedTopic) -> NDArray[np.bool_]:
-    """(n,) which messages carry a measurement: a ball that is not visible is nowhere."""
+    """(n,) which messages carry a measurement: a ball that is not visible has no position."""
     if topic.type == BALL_STATE:
         return topic.columns["visible"] != 0
     return np.ones(len(topic), dtype=np.bool_)
@@ -173,7 +173,7 @@ def check_channels(recording: Recording, channels: ChannelMap) -> None:
 
 
 def check_finite(recording: Recording, channels: ChannelMap, found: Sequence[Window]) -> None:
-    """Raises InputError where a value within a trial is NaN or infinite; what lies between trials is not used."""
+    """Raises InputError where a value within a trial is NaN or infinite; values between trials are not used."""
     complaints: list[str] = []
     for source in (*channels.signals, *channels.commands):
         topic, stamps = recording.topics[source.topic], recording.stamps(source.topic)
@@ -225,14 +225,14 @@ def check_same_commands(commands: Array, labels: Sequence[str], units: Sequence[
 
 @dataclass(frozen=True)
 class ResampleReport:
-    """What was lost between the bags and the trials.
+    """What was lost on the way from the bags to the trials.
 
     Attributes:
         signals: m names.
         missing: (p, m) samples that are NaN, per trial and signal.
         samples: T, per trial.
         gaps: (trial, signal, start s, length s) of every span that was too long to bridge.
-        notes: one sentence each on what is odd but usable.
+        notes: one sentence each on irregularities that are not fatal.
     """
 
     signals: tuple[str, ...]
@@ -304,7 +304,7 @@ def to_trials(
 
 @dataclass(frozen=True)
 class RecordedTrial:
-    """One trial: where it lies in which recording, and what to take from there."""
+    """One trial: where it is in which recording, and what to take from there."""
 
     recording: Recording
     channels: ChannelMap
@@ -510,7 +510,7 @@ class PlaysResult:
     Attributes:
         plays: one for each command, in the order of its first trial.
         results: what `to_trials` returns for each, in the same order.
-        notes: one sentence each on what is odd but usable.
+        notes: one sentence each on irregularities that are not fatal.
     """
 
     plays: tuple[Play, ...]

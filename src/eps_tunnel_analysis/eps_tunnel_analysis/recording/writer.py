@@ -2,7 +2,7 @@
 """BagWriter: all topics of one side into one rosbag2 MCAP bag that survives a crash of its recorder.
 
 Every half second a thread turns the messages so far into one compressed chunk, hands it to the system and forces it to
-the disk; a chunk needs nothing behind it to be read. So a killed recorder loses half a second, and `read` opens what
+the disk; a chunk can be read without anything after it. So a killed recorder loses half a second, and `read` opens what
 it left. metadata.yaml is written last: where it is missing, the bag was never closed.
 """
 
@@ -45,7 +45,8 @@ class RecordingError(OSError):
 
 
 class _Storage(McapWriter):
-    """An MCAP file whose messages have a publish time beside the log time, and whose metadata name the ROS release.
+    """An MCAP file whose messages have a publish time in addition to the log time, and whose metadata name the ROS
+    release.
 
     Attributes:
         publish_time: ns, of the message that is written next.
@@ -72,7 +73,7 @@ class _Storage(McapWriter):
         super().close(version, self.with_distro(metadata))
 
     def with_distro(self, metadata: str) -> str:
-        """The metadata as rosbags writes them, with the ROS release in the place of its own name."""
+        """The metadata as rosbags writes them, with the ROS release instead of its own name."""
         return metadata.replace(f"{DISTRO_LINE}rosbags", f"{DISTRO_LINE}{self.distro}") if self.distro else metadata
 
 
@@ -86,7 +87,7 @@ class BagWriter:
     Args:
         folder: the bag to make; its parents are made too.
         metadata: names and texts that describe what was recorded (sequence, sequence_hash, model, versions ...). They
-            stand at the head of the file, where a crash cannot reach them, and in metadata.yaml's custom_data.
+            are at the head of the file, where a crash cannot damage them, and in metadata.yaml's custom_data.
         distro: ROS release under which it is recorded, e.g. `kilted`; empty where no ROS takes part.
 
     Raises:
@@ -215,7 +216,7 @@ class BagWriter:
         return self.path
 
     def _name_distro(self) -> None:
-        """Puts the ROS release into metadata.yaml, which is replaced whole."""
+        """Puts the ROS release into metadata.yaml, which is replaced as a whole."""
         file = self.path / "metadata.yaml"
         text = file.read_text(encoding="utf-8")
         if (rewritten := self._storage.with_distro(text)) != text:
@@ -287,7 +288,7 @@ def _abandon(stream: Any) -> None:
 
 @contextmanager
 def whole_bag(folder: Path, metadata: Mapping[str, str] | None = None) -> Iterator[BagWriter]:
-    """A writer of a bag that is made from what is on the disk already, and so appears whole or not at all.
+    """A writer of a bag that is made from existing files, and so appears complete or not at all.
 
     Raises:
         InputError: the folder exists, or the bag cannot be written; nothing is left of it.
@@ -310,13 +311,13 @@ def whole_bag(folder: Path, metadata: Mapping[str, str] | None = None) -> Iterat
 
 
 def repair(bag: Path, out: Path) -> str:
-    """Copies every whole chunk of `bag` into the new folder `out`; the original stays as it is.
+    """Copies every intact chunk of `bag` into the new folder `out`; the original is not changed.
 
     Returns:
         One sentence on what was saved.
 
     Raises:
-        InputError: there is no bag, nothing whole in it, or `out` exists or cannot be written.
+        InputError: there is no bag, nothing intact in it, or `out` exists or cannot be written.
     """
     bag, out = Path(bag), Path(out)
     whole = _whole(bag)

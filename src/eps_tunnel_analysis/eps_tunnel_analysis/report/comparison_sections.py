@@ -41,7 +41,7 @@ OTHERS = ("phase", "direction", "amplitude", "other axes", "trial")
 
 
 def headline(comparison: Comparison, name: str) -> str:
-    """The comparison in a sentence: how far `name` is from the rig, in units of what the rig itself repeats."""
+    """The comparison in a sentence: how far `name` is from the rig, in units of the rig's repeat spread."""
     errors = [e for e in comparison.errors if e.samples]
     if not errors:
         return f"{name} cannot be compared: no sample was seen on both sides"
@@ -117,8 +117,8 @@ def at_a_glance(
 
     Args:
         step: a sentence and the command to run next, "" where there is none.
-        before: the model that it was; without it, angle and deviation stand side by side.
-        after: what the compared model is called beside `before`.
+        before: the previous model; without it, angle and deviation are shown side by side.
+        after: name of the compared model next to `before`.
     """
     i = (before or comparison).most_off
     signal, unit = comparison.signals[i], shown_unit(comparison.real.units[i])[1]
@@ -150,7 +150,7 @@ def _extent(chart: Chart) -> tuple[float, float]:
 
 
 def summary(comparison: Comparison) -> Section:
-    """One card a signal, and the worst in words."""
+    """One card per signal, and the worst in words."""
     first = comparison.alikeness[0]
     rig = comparison.against_itself[0].shares if comparison.against_itself else {}
     cards: list[tuple[str, str, str, float | None]] = []
@@ -173,7 +173,7 @@ def summary(comparison: Comparison) -> Section:
 
 
 def tunnels(comparison: Comparison) -> Section:
-    """Two charts a signal: trajectories, then the deviation from the real mean, time outside shaded."""
+    """Two charts per signal: trajectories, then the deviation from the real mean, time outside shaded."""
     blocks: list[Block] = [KPicker([a.k_real for a in comparison.alikeness])]
     for i, signal in enumerate(comparison.signals):
         blocks += [Heading(signal), _trajectory(comparison, i), _deviation(comparison, i)]
@@ -227,7 +227,7 @@ def _outside(comparison: Comparison, name: str) -> dict[str, list[tuple[float, f
 
 
 def over_k(comparison: Comparison) -> Section:
-    """A line a signal and one for all together; the same as a table, the rig against itself in every row."""
+    """A line per signal and one for all together; the same as a table, the rig against itself in every row."""
     ks = [a.k_real for a in comparison.alikeness]
     curves, rows = [], []
     for i, curve in enumerate(comparison.curves):
@@ -352,7 +352,7 @@ def _table(rows: list[Misfit], caption: str, folded: bool = False) -> Table:
 
 
 def errors(comparison: Comparison) -> Section:
-    """Equation 10, RMS, bias and worst, beside what the rig itself does not repeat."""
+    """Equation 10, RMS, bias and worst, with the rig's own repeat error."""
     rows = [
         (
             e.signal,
@@ -379,16 +379,16 @@ def errors(comparison: Comparison) -> Section:
 
 
 def provenance(facts: Sequence[tuple[str, str]], at: Path | None = None) -> Section:
-    """Pairs of name and value, as the command gathered them; a value that begins with a path leads there.
+    """Pairs of name and value from the command; a value that begins with a path becomes a link.
 
     Args:
-        at: the folder in which the page will be found; without it nothing is linked.
+        at: the folder in which the page will be found; without it there are no links.
     """
     return Section("What was compared", (Facts([(name, linked(value, at)) for name, value in facts]),))
 
 
 def linked(value: str, at: Path | None) -> str | Link:
-    """A path with what follows it in brackets, as a link from the folder `at`; other words stay as they are."""
+    """A path with an optional note in brackets, as a link from the folder `at`; other words are not changed."""
     path, space, rest = value.partition(" (")
     if at is None or not path or ("/" not in path and rest == "") or not Path(path).exists():
         return value

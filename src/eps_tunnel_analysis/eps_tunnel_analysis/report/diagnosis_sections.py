@@ -35,7 +35,7 @@ LONGEST_SINCE = 1.5  # s since a reversal
 
 
 def verdict(diagnosis: Diagnosis) -> Section:
-    """Probabilities, and what each step did to the error; the sentence itself is the page's title."""
+    """Probabilities, and the error after each step; the sentence itself is the page's title."""
     v = diagnosis.verdict
     names = ["as given", "values refitted"]
     registry = diagnosis.base_model.registry
@@ -93,7 +93,7 @@ def _said(name: str) -> str:
 
 
 def ranking(diagnosis: Diagnosis) -> Section:
-    """One table an axis, most probable first; then what the best could be mistaken for."""
+    """One table per axis, most probable first; then what the best could be mistaken for."""
     blocks: list[Block] = []
     for axis in diagnosis.axes:
         blocks.append(Heading(f"{axis.part.title[0].upper()}{axis.part.title[1:]}"))
@@ -133,7 +133,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
 
 
 def evidence(diagnosis: Diagnosis) -> Section:
-    """Four charts for each signal of an axis that had something missing; for all where none had."""
+    """Four charts for each signal of an axis where something is missing; for all signals if nothing is."""
     before, after = diagnosis.before, diagnosis.after
     worth = [s for axis in diagnosis.axes if axis.refits for s in axis.part.signals if s in before.signals]
     blocks: list[Block] = []
@@ -193,7 +193,7 @@ def _since_reversal(real: Trials, signal: str) -> Array:
 
 
 def what_to_do(diagnosis: Diagnosis, add: str) -> Section:
-    """The experiment that decides, where one is needed, effects by choice, and what was fitted, with units."""
+    """The deciding experiment, if one is needed, how to add effects, and what was fitted, with units."""
     v = diagnosis.verdict
     blocks: list[Block] = []
     if v.verdict == "effect":

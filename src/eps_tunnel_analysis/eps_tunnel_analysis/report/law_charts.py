@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawings of a missing force: over all that it may depend on, beside the model's own; its curve; what is left."""
+"""Drawings of a missing force: over all that it may depend on, with the model's own force; its curve; the remaining
+error."""
 
 from collections.abc import Mapping, Sequence
 
@@ -71,7 +72,7 @@ def curve(proposal: Proposal) -> list[Block]:
 
 
 def left(proposal: Proposal) -> list[Block]:
-    """The force that is missing with the proposal and without, over time."""
+    """The missing force with and without the proposal, over time."""
     after = proposal.left
     if after is None:
         return []
@@ -121,7 +122,7 @@ def _floors(floors: tuple[float, float]) -> tuple[str, str]:
 
 
 def _joined(missing: MissingForce, name: str) -> Array:
-    """(n,) at the nodes of all plays: of the force, its band, or what a motion has by that name."""
+    """(n,) at the nodes of all plays: the force, its band, or the named quantity of the motion."""
     if name in ("force", "band"):
         return np.concatenate([np.asarray(getattr(p, name)) for p in missing.plays])
     return np.concatenate([p.at_nodes(_of(p.motion, name)) for p in missing.plays])
@@ -135,7 +136,7 @@ def _of(motion: Motion, name: str) -> Array:
 def _points(
     over: Array, lines: Sequence[tuple[str, Array, str, Array | None]], x_label: str, y_label: str, label: str
 ) -> Chart:
-    """Points over a variable in rising order, without what is not known of it; thinned."""
+    """Points over a variable in rising order, without unknown ones; thinned."""
     order = np.argsort(over, kind="stable")
     order = order[np.isfinite(over[order])]
     order = order[:: max(1, -(-len(order) // DRAWN))]

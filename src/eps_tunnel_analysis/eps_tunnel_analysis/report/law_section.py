@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The section on what is missing where no effect explains it: force, variables, formula, what is left."""
+"""The section on what is missing where no effect explains it: force, variables, formula, remaining error."""
 
 from eps_tunnel_analysis.law.proposal import Proposal
 from eps_tunnel_analysis.outputs import shown_number, shown_value
@@ -10,7 +10,8 @@ LISTED = 6  # variables
 
 
 def law(proposal: Proposal) -> Section:
-    """What one axis lacks as a force over its variables, what shows it better, and the formula or curve proposed."""
+    """What one axis lacks, as a force over its variables, the command that shows it better, and the proposed formula or
+    curve."""
     missing, depends = proposal.missing, proposal.depends
     rows = [
         (d.variable if d.place == proposal.axis else f"{d.variable} {d.place}",

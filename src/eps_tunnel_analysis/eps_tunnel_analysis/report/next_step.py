@@ -45,13 +45,13 @@ def after_check(
     """What to do after a check of recordings: a sentence and a command.
 
     Args:
-        serious: something in them should be seen to first.
+        serious: whether something in them should be fixed first.
         real, model: as the user named them.
         own, known: as in `after_comparison`.
     """
     said = "Next: find out which physical effect the model lacks."
     if serious:
-        said = "Next: see to the lines that begin with !, and record anew where they say so. Then diagnose:"
+        said = "Next: deal with the lines that begin with !, and record again where they say so. Then diagnose:"
     return said, shlex.join(["eps-tunnel", "diagnose", *_reading(real, own, known), "--model", model, "--out", "why"])
 
 
@@ -65,7 +65,7 @@ def compare_with(
 ) -> str:
     """The command that compares a model with what was recorded.
 
-    Only trials of one command under one setting can be compared: of several, those of the first.
+    Only trials of one command under one setting can be compared; of several, the first is taken.
 
     Args:
         real: as the user named them.
@@ -81,7 +81,7 @@ def compare_with(
 
 
 def play_command(file: Path) -> str:
-    """The command that makes of a sequence file the commands to be played."""
+    """The command that turns a sequence file into the commands to be played."""
     return shlex.join(["eps-tunnel", "sequences", str(file), "--csv", "next.csv"])
 
 
@@ -124,12 +124,12 @@ def next_step(
 
 
 def _settings(recorded: "Recorded", real: Sequence[Path]) -> list[str]:
-    """The rules on what was set differently that some of these bags match."""
+    """The --known rules that match some of these bags."""
     paths = bags(real)
     return [rule for rule in recorded.known if any(fnmatch(str(path), rule.partition(":")[0]) for path in paths)]
 
 
 def _reading(real: Sequence[Path], own: Path | None, known: Sequence[str]) -> list[str]:
-    """The words of a command that reads these bags, with effects of the user's own and what is known of the bags."""
+    """The words of a command that reads these bags, with the user's own effects and the --known rules."""
     words = ["--real", *map(str, real), *(["--effects", str(own)] if own else [])]
     return [*words, *(["--known", *known] if known else [])]

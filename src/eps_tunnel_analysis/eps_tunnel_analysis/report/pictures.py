@@ -101,7 +101,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def _alike(comparison: Comparison) -> str:
-    """The joint alikeness beside what the rig reaches against itself, for a title."""
+    """The joint alikeness and that of the rig against itself, for a title."""
     rig = "".join(f", the rig itself {shown_share(a.joint)}" for a in comparison.against_itself[:1])
     return f"; alike {shown_share(comparison.alikeness[0].joint)}{rig}"
 
@@ -155,14 +155,14 @@ def _bars(axes: Axes, verdict: Verdict) -> None:
 
 
 def last_model(verdict: Verdict) -> str:
-    """What the best model of a diagnosis is called in pictures and tables."""
+    """Name of the best model of a diagnosis in pictures and tables."""
     if not verdict.effects:
         return "values refitted"
     return "with the likeliest" if verdict.verdict == "undecided" else "with what is named"
 
 
 def answer_picture(diagnosis: Diagnosis) -> Figure:
-    """What a verdict rests on: the model as given and the best one in the tunnel, and the probabilities."""
+    """The evidence for a verdict: the model as given and the best one in the tunnel, and the probabilities."""
     given, after, i = diagnosis.given, diagnosis.after, diagnosis.given.most_off
     real = given.real_tunnel
     factor, unit = shown_unit(real.units[i])
@@ -183,7 +183,8 @@ def answer_picture(diagnosis: Diagnosis) -> Figure:
 
 
 def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
-    """Simulation minus real over the measured angle or place and the speed, of the signal most beyond its noise.
+    """Simulation minus real over the measured angle or place and the speed, of the signal with the largest error
+    relative to its noise.
 
     Args:
         alone: only of the refitted values, without the effects.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports and the files beside them: of a comparison, of a diagnosis, of a walk through the loop."""
+"""Reports and their files: of a comparison, of a diagnosis, of one iteration of the loop."""
 
 import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,7 +44,7 @@ class Findings:
 
     Attributes:
         recorded: what was diagnosed.
-        proposal: where the verdict is "unknown", a law of its own.
+        proposal: a law, if the verdict is "unknown".
         checked: quality of the recordings and what they can identify.
     """
 
@@ -69,7 +69,7 @@ def compare_report(
         facts: what was compared: bags, hashes, model, versions.
         step: what to do next: a sentence and a command.
         at: the folder in which the page will be found, for links.
-        checked: what the real recordings are like, the serious first.
+        checked: findings on the real recordings, the serious first.
     """
     trials, seconds = comparison.real.count, comparison.real.time[-1] + comparison.real.step
     subtitle = f"{name} against {_trials(trials)}: {', '.join(comparison.signals)}, {seconds:.1f} s"
@@ -103,9 +103,9 @@ def write_comparison(
         name: of the simulation.
         facts: what was compared, for the end of the report.
         step: what to do next: a sentence and a command.
-        at: what the folder will be called.
-        pictures: as files, too; they take some seconds.
-        checked: what the real recordings are like, the serious first.
+        at: final name of the folder.
+        pictures: also as files, which takes a few seconds.
+        checked: findings on the real recordings, the serious first.
     """
     page = compare_report(comparison, name, facts, step, at, checked)
     (folder / "report.html").write_text(page, encoding="utf-8")
@@ -120,7 +120,7 @@ def write_comparison(
 
 
 def _tunnel(comparison: Comparison) -> tuple[Sequence[str], Iterable[Sequence[float]]]:
-    """Header and rows in SI units, one a sample."""
+    """Header and rows in SI units, one per sample."""
     real, sim = comparison.real_tunnel, comparison.sim_tunnel
     columns = {
         "mean": real.mean,
@@ -137,7 +137,7 @@ def _tunnel(comparison: Comparison) -> tuple[Sequence[str], Iterable[Sequence[fl
 
 
 def _over_k(comparison: Comparison) -> tuple[Sequence[str], Iterable[Sequence[float]]]:
-    """Header and rows, one a factor k; what the rig reaches against itself in columns of its own, where known."""
+    """Header and rows, one per factor k; the rig against itself in separate columns, if known."""
     names, rig = comparison.signals, comparison.against_itself
     header = ["k", *names, JOINTLY, *(f"{name}_rig" for name in (*names, JOINTLY) if rig)]
     rows = [[a.k_real, *(a.shares[n] for n in names), a.joint] for a in comparison.alikeness]
@@ -220,7 +220,7 @@ def write_diagnosis(folder: Path, out: Path, findings: Findings, real: Sequence[
 
 
 def model_provenance(recorded: Recorded, effects: Sequence[str], errors: Three) -> dict[str, Any]:
-    """Where a model comes from that was fitted to recordings, for its file."""
+    """Provenance of a model that was fitted to recordings, for its file."""
     given, before, after = errors
     return {
         **recorded.model.provenance,
@@ -234,7 +234,7 @@ def model_provenance(recorded: Recorded, effects: Sequence[str], errors: Three) 
 
 
 def better_model(diagnosis: Diagnosis, recorded: Recorded) -> Model:
-    """With the effects that the verdict names; where it names none, the given model with its values refitted."""
+    """The model with the named effects; if none is named, the given model with its values refitted."""
     v = diagnosis.verdict
     named, last = (v.effects, v.after) if v.verdict == "effect" else ((), v.before)
     better = diagnosis.model if named else diagnosis.base_model
@@ -277,8 +277,8 @@ def loop_report(
     """The page as HTML, its title the first sentence.
 
     Args:
-        sentences: what was found and what it was worth.
-        facts: where everything is.
+        sentences: what was found and how much it helped.
+        facts: where the files are.
         step: what to do next: a sentence and a command.
         at: the folder in which the page will be found, for links.
     """

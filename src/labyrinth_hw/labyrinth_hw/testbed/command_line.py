@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="testbed",
         description="An emulated labyrinth behind pseudo-serial ports: two Dynamixel servos and a sensor line, with "
-        "physics of its own and whatever a YAML file says is wrong with it. Needs no ROS.",
+        "separate physics and the faults that a YAML file describes. Needs no ROS.",
         epilog=f"Faults, one a line on standard input. {FAULTS}",
     )
     p.add_argument(

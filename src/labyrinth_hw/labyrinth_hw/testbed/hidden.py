@@ -188,7 +188,7 @@ class TestbedConfig:
         mode: operating mode that the servos' EEPROM has; None for the factory's.
     """
 
-    __test__ = False  # no test class, whatever its name
+    __test__ = False  # not a test class, despite its name
 
     name: str
     reality: Reality

@@ -105,7 +105,7 @@ DRIVE = Drive(
         GOAL_TICK,
         FEEDBACK_TICK,
         Parameter(
-            "speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff beside 0.01 kg m^2 of armature"
+            "speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff for 0.01 kg m^2 of armature"
         ),
         Parameter("torque", "N m", 0.01, 10.0, None, 2.8, "hobby servo to MX-106 (8.4 N m)"),
         BACK_EMF,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Viscous friction that differs by direction: MuJoCo's joint damping, set anew before every step."""
+"""Viscous friction that differs by direction: MuJoCo's joint damping, rewritten before every step."""
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state

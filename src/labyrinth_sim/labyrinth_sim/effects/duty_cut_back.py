@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Duty cut back under stall: the limit of MuJoCo's servo, set anew before every step."""
+"""Duty cut back under stall: the limit of MuJoCo's servo, rewritten before every step."""
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gravity load: a point mass beside the axis."""
+"""Gravity load: a point mass off the axis."""
 
 import mujoco
 import numpy as np

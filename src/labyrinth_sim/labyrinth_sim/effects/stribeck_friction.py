@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stribeck friction: MuJoCo's frictionloss, set anew before every step."""
+"""Stribeck friction: MuJoCo's frictionloss, rewritten before every step."""
 
 import math
 

@@ -404,7 +404,7 @@ class SimNode(LifecycleNode):
     def _report(self) -> None:
         if not self._configured:
             return
-        if self._paused and self._clocks:  # who starts meanwhile must learn the time, too
+        if self._paused and self._clocks:  # nodes that start in the meantime need the time, too
             self._clocks.publish(ClockMessage(clock=self._stamp()))
         behind = self._late > 0
         status = DiagnosticStatus(
