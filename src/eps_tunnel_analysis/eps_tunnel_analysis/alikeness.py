@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Alikeness: the share of samples at which the tunnels of the real and the simulated system meet; and how alike the
+"""Alikeness: the share of samples at which the tunnels of the real and the simulated system overlap; and how alike the
 real system is to itself, for comparison."""
 
 import math

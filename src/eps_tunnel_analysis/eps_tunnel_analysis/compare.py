@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one function in which real and simulated trajectories meet."""
+"""The one function that compares real and simulated trajectories."""
 
 import math
 from collections.abc import Iterable
@@ -147,7 +147,7 @@ def compare(
         signals: which to compare; by default all that both sides have.
 
     Raises:
-        InputError: no signal in common, an unknown signal, other units, another time grid, a senseless k.
+        InputError: no signal in common, an unknown signal, other units, another time grid, an invalid k.
     """
     factors = tuple(sorted({float(k) for k in ks}))
     if not factors:

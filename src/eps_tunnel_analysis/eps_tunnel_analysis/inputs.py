@@ -96,7 +96,7 @@ class Reading:
 @dataclass(frozen=True)
 class Sides:
     """Real and simulated trials, the model if there was one, what was read, as pairs of name and value, notes, and
-    what the real recordings are like, a sentence each."""
+    findings on the real recordings, a sentence each."""
 
     real: Trials
     sim: Trials
@@ -109,7 +109,7 @@ class Sides:
 @shown
 @dataclass(frozen=True)
 class Recorded:
-    """A model, the plays it is to be held against, and where these came from.
+    """A model, the plays to compare it with, and where these came from.
 
     Attributes:
         bags: path and SHA-256 of each bag.
@@ -204,7 +204,7 @@ def load_recorded(
     held_out: Sequence[Path] = (),
     efforts: bool = False,
 ) -> Recorded:
-    """Reads a model and the plays to hold it against.
+    """Reads a model and the plays to compare it with.
 
     Args:
         model: itself, or its name or file.
@@ -338,7 +338,7 @@ def _read(paths: Sequence[Path], rig: Rig | None, reading: Reading) -> TrialsRes
 
 
 def _several_commands(recordings: Sequence[Recording], rig: Rig | None, options: Mapping[str, Any]) -> list[str]:
-    """What to name instead where whole bags of several commands were named; nothing where they hold one."""
+    """What to name instead if bags of several commands were named; nothing if they hold one command."""
     try:
         results = to_plays(recordings, rig, **options).results
     except InputError:

@@ -105,7 +105,7 @@ class StampCounts:
 
     @property
     def troubled(self) -> bool:
-        """Whether samples went missing or astray; late ones are all there."""
+        """Whether samples were lost or out of order; late ones have all arrived."""
         return bool(self.lost or self.reordered or self.duplicated or self.clock_jumps)
 
     def __str__(self) -> str:
@@ -195,7 +195,7 @@ class RunningTrial:
                 self.values[first:last, column] = interpolate(stamps, values, self.grid[first:last], self._max_gap)
 
     def ready(self) -> int:
-        """How many grid points are known for good: every stream is past them, or silent for longer than a gap."""
+        """How many grid points are final: every stream is past them, or silent for longer than a gap."""
         newest = [stream.newest for stream in self._streams.values()]
         if not newest:
             return 0
@@ -248,7 +248,7 @@ class LiveGap:
         self._judged = 0
 
     def refer_to(self, sequence_hash: str, trials: Trials) -> None:
-        """Real trials recorded before, on this grid: they count as if they had been played now."""
+        """Earlier real trials, on this grid: they count as if they had just been played."""
         self._references[sequence_hash] = trials
 
     def start(self, side: str, mark: TrialMark) -> list[Judged]:
@@ -293,7 +293,7 @@ class LiveGap:
     def add(self, side: str, stream: str, names: Sequence[str], stamp: int, values: Array) -> list[Judged]:
         """One measurement: `values` of the signals `names` at `stamp` (ns), NaN where not measured.
 
-        What is infinite, or beyond LARGEST, was not measured.
+        Infinite values, or values beyond LARGEST, count as not measured.
         """
         values = np.where(np.abs(values) <= LARGEST, values, np.nan)
         known = self._streams[side].setdefault(stream, Stream(tuple(names)))
@@ -323,7 +323,7 @@ class LiveGap:
                 self.finish(side)
 
     def abort(self, side: str) -> None:
-        """The running trial was given up and does not count."""
+        """The running trial was aborted and does not count."""
         self._early.pop(side, None)
         if self._running.pop(side, None) is not None and self._current is not None:
             self._judge_all(self._current)
@@ -336,7 +336,7 @@ class LiveGap:
         self.abort(side)
 
     def forget(self, side: str) -> None:
-        """Drops every trial of a side that is another one now, as a simulation is after its model was replaced."""
+        """Drops every trial of a side that has changed, for example a simulation whose model was replaced."""
         self._running.pop(side, None)
         self._early.pop(side, None)
         self._started.discard(side)

@@ -27,8 +27,8 @@ class RestWatch:
     """Judges from noisy positions whether something moves.
 
     The speed is the difference between the means of the two halves of the last `window` seconds, so that the flicker
-    of an encoder between two counts is no motion. At rest is what was no faster than `speed` for `window` seconds.
-    One thread may add while another asks or resets.
+    of an encoder between two counts is no motion. It is at rest after it was no faster than `speed` for `window`
+    seconds. One thread may add while another asks or resets.
 
     Args:
         window: s.

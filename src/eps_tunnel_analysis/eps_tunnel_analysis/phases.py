@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a model fails: what the command was asking for at each sample, and how the misfit spreads over that."""
+"""Where a model fails: what the command requested at each sample, and how the misfit is distributed over that."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -216,7 +216,7 @@ def where(real: Trials, sim: Trials) -> tuple[Misfit, ...]:
 
 
 def sentences(misfits: Iterable[Misfit], most: int = 3) -> tuple[str, ...]:
-    """Where the model fails in words, worst first; NOWHERE where it is off by no more than the rig itself.
+    """Where the model fails in words, worst first; NOWHERE if it is off by no more than the rig itself.
 
     Named are phases with far more of a signal's error than of its time, and signals whose error is spread evenly. They
     are ranked across signals by their RMS in units of the signal's repeat spread. Where a spread is unknown, the signal
@@ -267,7 +267,7 @@ def _groupings(label: Phases, unit: str) -> Iterator[tuple[str, NDArray[np.str_]
 
 
 def _others(labels: Mapping[str, Phases], channel: str) -> NDArray[np.str_]:
-    """Whether another channel's command is on its way: errors that come and go with it are coupling."""
+    """Whether another channel's command is moving: errors that come and go with it are coupling."""
     moving = np.any([np.isin(label.phase, MOVING) for name, label in labels.items() if name != channel], axis=0)
     return np.where(moving, "another moves", "all others stand still")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest frame of any source OpenCV opens, stamped at exposure, and the lens's figures."""
+"""The newest frame of any source that OpenCV can open, stamped at exposure, and the lens parameters."""
 
 import threading
 import time

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds, reads and checks the rig's YAML files: $EPS_TUNNEL_CONFIG, the source tree, then what was installed.
 
-New files are written whole or not at all.
+New files are written completely or not at all.
 """
 
 import os

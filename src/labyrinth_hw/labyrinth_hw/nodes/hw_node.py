@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The real rig as a managed ROS node: the same topics as the simulation, under /real.
 
-Configured, it measures and publishes. Active, it is armed: it obeys commands and drives the servos. It deactivates
+Configured, it measures and publishes. Active, it is armed: it executes commands and drives the servos. It deactivates
 itself after silence, on an alarm, and when a second publisher of commands appears.
 """
 
@@ -48,7 +48,7 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 class HwNode(LifecycleNode):
     """Drives the servos in a thread of its own, one control period after the other, and publishes measurements.
 
-    That thread, and every timer, follows the machine's steady clock; ROS's clock is read for stamps alone.
+    That thread, and every timer, follows the machine's steady clock; ROS's clock is used only for stamps.
     """
 
     def __init__(self) -> None:
@@ -152,7 +152,7 @@ class HwNode(LifecycleNode):
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Arm: commands that arrive from now on are obeyed."""
+        """Arm: commands that arrive from now on are executed."""
         if (complaint := self._too_many_publishers()) is not None:
             return self._refused(f"Not armed: {complaint}")
         try:
@@ -441,7 +441,7 @@ class HwNode(LifecycleNode):
 
 
 def _qos() -> dict[str, Any]:
-    """Of one entity. A profile of its own: what rclpy changes in it by parameters must reach no other."""
+    """A new profile for one entity, because rclpy's parameters change it and must not affect others."""
     return {
         "qos_profile": QoSProfile(depth=50),
         "qos_overriding_options": QoSOverridingOptions.with_default_policies(),

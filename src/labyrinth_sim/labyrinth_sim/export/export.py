@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned, for the user's own simulator: an MJCF with all that MuJoCo can say, a module for the rest."""
+"""A model for the user's own simulator: an MJCF with everything that MuJoCo can express, a module for the rest."""
 
 import ctypes
 import inspect

@@ -440,7 +440,7 @@ def _game(stepper: Stepper) -> BallGame | None:
 
 
 def _qos() -> dict[str, Any]:
-    """Of one entity. A profile of its own: what rclpy changes in it by parameters must reach no other."""
+    """A new profile for one entity, because rclpy's parameters change it and must not affect others."""
     return {
         "qos_profile": QoSProfile(depth=50),
         "qos_overriding_options": QoSOverridingOptions.with_default_policies(),
