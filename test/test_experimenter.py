@@ -217,8 +217,8 @@ def test_a_rig_that_fails_is_written_down(tmp_path: Path) -> None:
             ["none"],
             "It was found; also named: gain error",
         ),
-        ("x", True, ["backlash.x"], "undecided", ["none", "gain_error.y"], "It was found; it is not decided whether that is all"),
-        ("x", True, [], "undecided", ["backlash.x + gain_error.y", "unknown"], "It was found; it is not decided whether that is all"),
+        ("x", True, ["backlash.x"], "undecided", ["none", "gain_error.y"], "It was found; it is not decided"),
+        ("x", True, [], "undecided", ["backlash.x + gain_error.y", "unknown"], "It was found; it is not decided"),
         ("x", True, [], "undecided", ["gain_error.y", "unknown"], "That was not found."),
     ],
 )
