@@ -81,7 +81,7 @@ def stairs(pair: Pair) -> float:
 
 
 def adrift(pair: Pair) -> float:
-    """The signal moves before the command does: share of the travel until then that is not in the model without it."""
+    """The signal moves before the command does: share of that travel which is new."""
     moves = np.flatnonzero(np.diff(pair.command))
     first = int(moves[0]) + 1 if moves.size else len(pair.command)
     ways = [np.abs(np.diff(signal[:first])).sum() for signal in (pair.with_it, pair.without)]

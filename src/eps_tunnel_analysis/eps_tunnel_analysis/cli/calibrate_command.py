@@ -66,7 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default: %(default)s)")
     fit.add_argument("--generations", type=at_least_one, metavar="N", help="generations of es (default: 150)")
     fit.add_argument(
-        "--budget", type=at_least_one, metavar="N", help="most evaluations of each fit; the last batch may exceed it"
+        "--budget",
+        type=at_least_one,
+        metavar="N",
+        help="largest number of evaluations per fit; the last batch may exceed it",
     )
     work = parser.add_argument_group("work")
     work.add_argument("--checkpoint", type=Path, metavar="FILE",

@@ -127,7 +127,7 @@ def parser() -> argparse.ArgumentParser:
                    f"(default: {HIDDEN}); `ros2 run labyrinth_hw testbed --list` lists them")  # fmt: skip
     p.add_argument("--sequence", default="excite_12s", help="name or path of the sequence (default: %(default)s)")
     p.add_argument("--trials", type=_count, default=3, metavar="N",
-                   help="trials each time it is played (default: %(default)s)")  # fmt: skip
+                   help="trials per play (default: %(default)s)")  # fmt: skip
     p.add_argument("--model", default="labyrinth_mx64", help="name or path of the model (default: %(default)s)")
     p.add_argument(
         "--testbed", default="healthy", metavar="CONFIG", help="config/testbed/*.yaml (default: %(default)s)"

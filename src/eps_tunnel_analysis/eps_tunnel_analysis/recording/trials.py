@@ -91,7 +91,7 @@ def _marked(recording: Recording, marks: Sequence[TrialMark], notes: list[str]) 
     started: TrialMark | None = None
     for mark in [*marks, None]:
         if started is not None and (mark is None or mark.phase != "end"):
-            reason = "was given up" if mark is not None and mark.phase == "aborted" else "has no end mark"
+            reason = "was aborted" if mark is not None and mark.phase == "aborted" else "has no end mark"
             notes.append(f"{recording.path}: trial {started.trial} {reason} and is left out.")
         elif started is not None and mark is not None:
             # The sequence's own length: end marks come a few milliseconds late, and each by another few.
