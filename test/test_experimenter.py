@@ -66,7 +66,7 @@ class OfflineRig:
     def limit(self) -> float:
         return float(LIMIT)
 
-    def tell(self, content: Mapping[str, Any], report: Path) -> None:
+    def publish(self, content: Mapping[str, Any], report: Path) -> None:
         assert report.exists()
         self.told.append(content["verdict"])
 
@@ -215,10 +215,10 @@ def test_a_rig_that_fails_is_written_down(tmp_path: Path) -> None:
             ["gain_error.y", "backlash.x"],
             "complete",
             ["none"],
-            "It was found; named besides: gain error",
+            "It was found; also named: gain error",
         ),
-        ("x", True, ["backlash.x"], "undecided", ["none", "gain_error.y"], "It was found; whether that is all"),
-        ("x", True, [], "undecided", ["backlash.x + gain_error.y", "unknown"], "It was found; whether that is all"),
+        ("x", True, ["backlash.x"], "undecided", ["none", "gain_error.y"], "It was found; it is not decided"),
+        ("x", True, [], "undecided", ["backlash.x + gain_error.y", "unknown"], "It was found; it is not decided"),
         ("x", True, [], "undecided", ["gain_error.y", "unknown"], "That was not found."),
     ],
 )

@@ -290,7 +290,7 @@ def test_a_slider_moves_a_value_and_the_simulation_follows(opened: Page, played:
         opened.until("document.getElementById('joint-before').textContent.includes('labyrinth_mx64')")
         assert percent(opened.evaluate(joint)) < as_it_is - 5
         assert percent(opened.evaluate("document.getElementById('joint-before').textContent")) == as_it_is
-        opened.until("document.getElementById('tunnel-what').textContent.startsWith('Simulated anew')")
+        opened.until("document.getElementById('tunnel-what').textContent.startsWith('Simulated with')")
         deadline = time.monotonic() + 10
         while shown.red() <= red and time.monotonic() < deadline:
             time.sleep(0.05)  # the trajectories come after the words

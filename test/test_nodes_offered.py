@@ -103,7 +103,7 @@ def test_a_recording_without_joint_states_is_an_error_that_says_why(rig: Rig) ->
     asked = rig.ask(True, label="named", sides=["sim"])
     assert asked.success, asked.message
     silent = rig.ask(False)
-    assert "0 messages on /sim/joint_states: nobody publishes there" in silent.message
+    assert "0 messages on /sim/joint_states: nothing publishes there" in silent.message
     assert "Did you mean 'real'" in rig.ask(True, label="wrong", sides=["reel"]).message
 
 
@@ -111,5 +111,5 @@ def test_without_anybody_who_measures_nothing_is_recorded(rig: Rig) -> None:
     rig.begin()
     answer = rig.ask(True, label="none")
     assert not answer.success
-    assert "Nobody measures under /real/ or /sim/" in answer.message
+    assert "No joint states under /real/ or /sim/" in answer.message
     assert not (rig.folder / "bags").exists()

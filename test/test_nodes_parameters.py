@@ -26,7 +26,7 @@ def started(domain: int, name: str, *options: str) -> subprocess.CompletedProces
 def test_without_a_rig_the_player_says_who_is_missing(domain: int) -> None:
     done = started(domain, "player", "-p", "sequence:=paper_8s", "-p", "sides:=[real]", "-p", "connect_timeout:=0.5")
     assert done.returncode == 1
-    assert "Nobody listens to /real/joint_commands" in done.stderr
+    assert "Nothing subscribes to /real/joint_commands" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -65,4 +65,4 @@ def test_a_parameter_file_and_remapping_are_taken(domain: int, tmp_path: Path, n
     remapped = ["-r", f"{namespace}/real/joint_commands:=/other/targets"]
     done = started(domain, "player", "--params-file", str(file), *space, *remapped)
     assert done.returncode == 1
-    assert "Nobody listens to /other/targets" in done.stderr
+    assert "Nothing subscribes to /other/targets" in done.stderr

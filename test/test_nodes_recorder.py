@@ -221,7 +221,7 @@ def test_the_node_serves_while_an_answer_waits_for_a_side_that_is_not_there(benc
     assert not waiting.done()
     answer = bench.result(waiting)
     assert answer.success, "who names a side may record what will come"
-    assert "Not matched yet: /sim/ (nobody measures there)." in answer.message
+    assert "Not matched yet: /sim/ (no joint states there)." in answer.message
     states = bench.node.create_publisher(JointState, "/sim/joint_states", 10)
     bench.until(states.get_subscription_count)
     states.publish(joint_state(0))

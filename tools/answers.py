@@ -60,7 +60,7 @@ class Case:
 CASES = {
     "complete": Case((), ("gravity_load", "sensor_bias")),
     "effect": Case(("gravity_load.x=medium",), ("gravity_load", "return_spring", "coulomb_friction")),
-    # One step tells a slight lag from a slight delay no better than this.
+    # One step does not distinguish a slight lag from a slight delay better than this.
     "undecided": Case(("sensor_lag.motor_x=weak",), ("sensor_lag", "sensor_delay"), sequence=ONE_STEP),
     "unknown": Case(("cogging.x=strong",), ("gravity_load", "coulomb_friction")),
 }

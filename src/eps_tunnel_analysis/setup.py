@@ -74,7 +74,7 @@ setup(
         "tqdm",
         "zstandard",
     ],
-    # What tells `colcon test` to run pytest.
+    # This makes `colcon test` run pytest.
     extras_require={"test": ["hypothesis", "pytest"]},
     python_requires=">=3.11",
     zip_safe=False,

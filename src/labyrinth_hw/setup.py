@@ -59,7 +59,7 @@ setup(
         "rosbags",
         "tqdm",
     ],
-    # What tells `colcon test` to run pytest.
+    # This makes `colcon test` run pytest.
     extras_require={"test": ["pytest"]},
     python_requires=">=3.11",
     zip_safe=False,

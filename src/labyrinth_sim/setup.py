@@ -46,7 +46,7 @@ setup(
         *tree(HERE / "config", "share/labyrinth_sim/config"),
     ],
     install_requires=["mujoco", "numba", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "scipy"],
-    # What tells `colcon test` to run pytest.
+    # This makes `colcon test` run pytest.
     extras_require={"test": ["hypothesis", "pytest"]},
     python_requires=">=3.11",
     zip_safe=False,

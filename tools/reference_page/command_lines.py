@@ -18,8 +18,8 @@ def eps_tunnel_section() -> str:
     parts = [
         "## `eps-tunnel COMMAND`\n",
         "Also `ros2 run eps_tunnel_analysis eps_tunnel COMMAND`. Exit codes: 0 done; 1 the work failed; 2 bad input, "
-        "told on stderr; 130 Ctrl-C. With `--json` stdout holds the result only; progress goes to stderr.\n",
-        f"### Options that tell how bags are read\n\nThe same for {', '.join(map(code, shared))}.\n",
+        "explained on stderr; 130 Ctrl-C. With `--json` stdout holds the result only; progress goes to stderr.\n",
+        f"### Options for reading bags\n\nThe same for {', '.join(map(code, shared))}.\n",
         options(group(commands[shared[0]], READING)),
     ]
     for name, command in commands.items():
@@ -91,7 +91,7 @@ def subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPa
 
 
 def help_of_subcommand(parser: argparse.ArgumentParser, name: str) -> str:
-    """The line that tells a subcommand in its parent's help."""
+    """The line for a subcommand in its parent's help."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             return next((str(a.help) for a in action._choices_actions if a.dest == name), "")

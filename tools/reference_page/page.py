@@ -15,8 +15,8 @@ from ros2_standin.launch import DeclareLaunchArgument, description_of
 ROOT = Path(__file__).resolve().parents[2]
 INTRODUCTION = """# Reference
 
-Made by `python tools/reference_page` from the code; do not edit. Effects and drives: [effects.md](effects.md). What the
-files in `config/` hold is said in the files themselves.
+Made by `python tools/reference_page` from the code; do not edit. Effects and drives: [effects.md](effects.md). The
+files in `config/` are explained in the files themselves.
 
 NS is `real` or `sim`; a name without a leading `/` lies in the node's namespace.
 Units are SI unless a name says otherwise (`_deg`).

@@ -143,7 +143,7 @@ def _outcome(call: Callable[[argparse.Namespace], int | str | None], parsed: arg
     except ExternalShutdownException:
         return int(signal.SIGTERM)
     except BrokenPipeError:
-        # `ros2 topic list | head -1`: nobody reads on, so there is nothing left to say.
+        # `ros2 topic list | head -1`: the reader is gone, so there is nothing left to do.
         sys.stdout = None  # type: ignore[assignment]
         return 0
     except RuntimeError as error:

@@ -14,7 +14,7 @@ POLICIES = {"reliability": QoSReliabilityPolicy, "durability": QoSDurabilityPoli
 
 
 def options(default: str) -> list[Argument]:
-    """Arguments of a verb whose profile is `default` unless told otherwise."""
+    """Arguments of a verb whose default profile is `default`."""
     presets = QoSPresetProfiles.short_keys()
     return [
         argument("--qos-profile", choices=presets, default=default, help="Preset profile (default: %(default)s)"),

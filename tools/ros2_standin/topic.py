@@ -33,7 +33,7 @@ def types_of(node: Node, topic: str) -> list[str]:
 
 
 def message_class(node: Node, topic: str) -> Any:
-    """The class of a topic's messages, or None when nobody publishes it."""
+    """The class of a topic's messages, or None if it has no publisher."""
     types = types_of(node, topic)
     if not types:
         print(f"WARNING: topic [{topic}] does not appear to be published yet")

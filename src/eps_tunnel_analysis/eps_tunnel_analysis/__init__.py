@@ -6,7 +6,7 @@
     gap = study.compare()
     why = study.diagnose()
 
-What `__all__` names is imported when it is first asked for. docs/python.md has the rest.
+The names in `__all__` are imported on first use. See docs/python.md.
 """
 
 import importlib

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Alikeness: the share of samples at which the tunnels of the real and the simulated system meet; and how alike the
-real system is to itself, beside which that share is read."""
+"""Alikeness: the share of samples at which the tunnels of the real and the simulated system overlap; and how alike the
+real system is to itself, for comparison."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -186,12 +186,12 @@ def joint_against_itself(several: Sequence[Trials], ks: Iterable[float] = KS) ->
     factors = tuple(ks)
     seen, alike = 0.0, np.zeros(len(factors))
     for trials in several:
-        found = rig_against_itself(trials, factors)
+        itself = rig_against_itself(trials, factors)
         known: Mask = np.any(~np.isnan(trials.values), axis=0)  # (T, m)
         samples = float(np.all(known, axis=1).sum())
-        if found and samples:
+        if itself and samples:
             seen += samples
-            alike += samples * np.array([at.joint for at in found])
+            alike += samples * np.array([at.joint for at in itself])
     return dict(zip(factors, (alike / seen if seen else alike + math.nan).tolist(), strict=True))
 
 

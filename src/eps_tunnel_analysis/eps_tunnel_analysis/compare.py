@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one function in which real and simulated trajectories meet."""
+"""The one function that compares real and simulated trajectories."""
 
 import math
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Trials
 
-TRIM = 0.5  # s by which one side may be longer; the rest of it is left out and told
+TRIM = 0.5  # s by which one side may be longer; the rest of it is left out, with a note
 
 
 JOINTLY = "jointly"
@@ -152,7 +152,7 @@ def compare(
         signals: which to compare; by default all that both sides have.
 
     Raises:
-        InputError: no signal in common, an unknown signal, other units, another time grid, a senseless k.
+        InputError: no signal in common, an unknown signal, other units, another time grid, an invalid k.
     """
     factors = tuple(sorted({float(k) for k in ks}))
     if not factors:
@@ -167,9 +167,9 @@ def compare(
     if smoothed:
         real_tunnel, sim_tunnel = smooth(real_tunnel), smooth(sim_tunnel)
     if real.count == 1:
-        notes += ("One real trial only: its tunnel has no width, so what the rig itself repeats cannot be known.",)
+        notes += ("Only one real trial: its tunnel has no width, so the rig's repeatability is not known.",)
     elif real.count < LEAST_TRIALS:
-        notes += ("Two real trials only: how alike the rig is to itself takes three trials; five are better.",)
+        notes += ("Only two real trials: the rig's alikeness to itself needs three trials; five are better.",)
     return Comparison(
         real=real,
         sim=sim,

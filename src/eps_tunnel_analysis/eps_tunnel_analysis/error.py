@@ -51,7 +51,7 @@ def command_error(real: Array, sim: Array) -> float:
 
 
 def error_unit(units: Sequence[str]) -> str:
-    """In which one number for signals in these units is told: rad where some turn, else m where some slide."""
+    """Unit of one number for signals in these units: rad if some turn, otherwise m if some slide."""
     return next((unit for unit in ("rad", "m") if unit in units), units[0])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags and a model, as somebody names them, to trials and plays."""
+"""From the names of bags and a model to trials and plays."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -38,7 +38,7 @@ KNOWN_FILE = "known.yaml"
 KNOWN_ABOVE = 3  # folders above a bag in which such a file counts, too
 DEEPEST_BAG = 6  # folders within a folder that is named, in which bags are looked for
 HELD_OUT_SHARE = 0.2
-"""held out unless told otherwise, rounded down: nothing of fewer than five commands"""
+"""held out by default, rounded down: nothing of fewer than five commands"""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Reading:
 @dataclass(frozen=True)
 class Sides:
     """Real and simulated trials, the model if there was one, what was read, as pairs of name and value, notes, and
-    what the real recordings are like, a sentence each."""
+    findings on the real recordings, a sentence each."""
 
     real: Trials
     sim: Trials
@@ -109,11 +109,11 @@ class Sides:
 @shown
 @dataclass(frozen=True)
 class Recorded:
-    """A model, the plays it is to be held against, and where these came from.
+    """A model, the plays to compare it with, and where these came from.
 
     Attributes:
         bags: path and SHA-256 of each bag.
-        hashes: of the sequences, one for each play, "" where the bag tells none.
+        hashes: of the sequences, one for each play, "" where the bag has none.
         held: plays that are only judged.
         held_hashes: of their sequences.
         files: the bags of each play.
@@ -204,7 +204,7 @@ def load_recorded(
     held_out: Sequence[Path] = (),
     efforts: bool = False,
 ) -> Recorded:
-    """Reads a model and the plays to hold it against.
+    """Reads a model and the plays to compare it with.
 
     Args:
         model: itself, or its name or file.
@@ -292,13 +292,13 @@ def held_apart(recorded: Recorded, amount: float | None, seed: int) -> tuple[Rec
 
 def bags(paths: Sequence[Path]) -> list[Path]:
     """The bags that the paths stand for: a folder that is no bag stands for those in it and in its folders."""
-    found: list[Path] = []
+    found_bags: list[Path] = []
     for path in paths:
-        found += _bags_in(path) or [path]
-    twice = sorted({str(p) for p in found if found.count(p) > 1})
+        found_bags += _bags_in(path) or [path]
+    twice = sorted({str(p) for p in found_bags if found_bags.count(p) > 1})
     if twice:
         raise InputError([f"{p}: named twice; each bag counts as one trial." for p in twice])
-    return found
+    return found_bags
 
 
 def _bags_in(path: Path, depth: int = 0) -> list[Path]:
@@ -338,7 +338,7 @@ def _read(paths: Sequence[Path], rig: Rig | None, reading: Reading) -> TrialsRes
 
 
 def _several_commands(recordings: Sequence[Recording], rig: Rig | None, options: Mapping[str, Any]) -> list[str]:
-    """What to name instead where whole bags of several commands were named; nothing where they hold one."""
+    """What to name instead if bags of several commands were named; nothing if they hold one command."""
     try:
         results = to_plays(recordings, rig, **options).results
     except InputError:
@@ -428,7 +428,7 @@ def known_of(paths: Sequence[Path], rules: Sequence[str]) -> dict[Path, dict[str
 
 def _known_beside(bag: Path) -> dict[str, float]:
     folders = [bag, *bag.resolve().parents[:KNOWN_ABOVE]]
-    found: dict[str, float] = {}
+    known: dict[str, float] = {}
     for file in (folder / KNOWN_FILE for folder in reversed(folders)):
         if file.is_file():
             document = read_yaml(file)
@@ -436,9 +436,9 @@ def _known_beside(bag: Path) -> dict[str, float]:
                 if isinstance(value, bool) or not isinstance(value, int | float):
                     document.complain((name,), "expected a number, as 'drive.x.kp: 100'.")
                 else:
-                    found[name] = float(value)
+                    known[name] = float(value)
             document.check()
-    return found
+    return known
 
 
 def _refuse_other_settings(known: Mapping[Path, Mapping[str, float]]) -> None:
@@ -457,11 +457,11 @@ def unstated_notes(model: Model) -> tuple[str, ...]:
     defaults = [
         f"{info.name} {shown_number(info.value, 4)} {info.unit}".removesuffix(" 1") for info in model.unstated()
     ]
-    return (f"Model '{model.name}' does not state, so defaults hold: {', '.join(defaults)}.",) if defaults else ()
+    return (f"Not stated by model '{model.name}', so defaults apply: {', '.join(defaults)}.",) if defaults else ()
 
 
 def with_effort_scales(model: Model, plays: Sequence[Play]) -> tuple[Model, tuple[str, ...]]:
-    """The model with a first guess for each factor of an effort that nobody states, and a sentence on each.
+    """The model with a first guess for each effort factor that is not stated, and a sentence on each.
 
     The factor is that of the least squares between the effort that the model gives under the recorded commands and the
     one that was recorded; a fit goes on from there.
@@ -482,14 +482,17 @@ def with_effort_scales(model: Model, plays: Sequence[Play]) -> tuple[Model, tupl
             ours = np.broadcast_to(ours, theirs.shape) if len(ours) == 1 else ours
             both = np.isfinite(ours) & np.isfinite(theirs)
             products[name] += [theirs[both] @ theirs[both], ours[both] @ theirs[both]]
-    found = {name: float(p[1] / p[0]) for name, p in products.items() if p[0] > 0.0 and p[1] != 0.0}
-    guessed = model.with_scales(found, "guessed from the recordings")
+    scales = {name: float(p[1] / p[0]) for name, p in products.items() if p[0] > 0.0 and p[1] != 0.0}
+    guessed = model.with_scales(scales, "guessed from the recordings")
     infos = guessed.parameters()
     notes = tuple(
         f"{name} is not stated: {shown_number(value)} {infos[name].unit} guessed from the recordings. State it in "
-        "the rig file where you know it."
-        + (" It is negative: turn the effort's sign round, or add what takes the effort, as friction." * (value < 0))
-        for name, value in found.items()
+        "the rig file if you know it."
+        + (
+            " It is negative: reverse the effort's sign, or add what uses up the effort, such as friction."
+            * (value < 0)
+        )
+        for name, value in scales.items()
     )
     return guessed, notes
 

@@ -105,7 +105,7 @@ class StampCounts:
 
     @property
     def troubled(self) -> bool:
-        """Whether samples went missing or astray; late ones are all there."""
+        """Whether samples were lost or out of order; late ones have all arrived."""
         return bool(self.lost or self.reordered or self.duplicated or self.clock_jumps)
 
     def __str__(self) -> str:
@@ -195,7 +195,7 @@ class RunningTrial:
                 self.values[first:last, column] = interpolate(stamps, values, self.grid[first:last], self._max_gap)
 
     def ready(self) -> int:
-        """How many grid points are known for good: every stream is past them, or silent for longer than a gap."""
+        """How many grid points are final: every stream is past them, or silent for longer than a gap."""
         newest = [stream.newest for stream in self._streams.values()]
         if not newest:
             return 0
@@ -227,7 +227,7 @@ class LiveGap:
         k_sim: factor of the simulated one.
         max_gap: s; measurements further apart are not bridged.
         smoothed: filter the limits by equation 12. Within a running trial the samples to come are not in it yet;
-            at its end all are judged anew.
+            at its end all are judged again.
     """
 
     def __init__(
@@ -248,7 +248,7 @@ class LiveGap:
         self._judged = 0
 
     def refer_to(self, sequence_hash: str, trials: Trials) -> None:
-        """Real trials recorded before, on this grid: they count as if they had been played now."""
+        """Earlier real trials, on this grid: they count as if they had just been played."""
         self._references[sequence_hash] = trials
 
     def start(self, side: str, mark: TrialMark) -> list[Judged]:
@@ -293,7 +293,7 @@ class LiveGap:
     def add(self, side: str, stream: str, names: Sequence[str], stamp: int, values: Array) -> list[Judged]:
         """One measurement: `values` of the signals `names` at `stamp` (ns), NaN where not measured.
 
-        What is infinite, or beyond LARGEST, was not measured.
+        Infinite values, or values beyond LARGEST, count as not measured.
         """
         values = np.where(np.abs(values) <= LARGEST, values, np.nan)
         known = self._streams[side].setdefault(stream, Stream(tuple(names)))
@@ -323,19 +323,20 @@ class LiveGap:
                 self.finish(side)
 
     def abort(self, side: str) -> None:
-        """The running trial was given up and does not count."""
+        """The running trial was aborted and does not count."""
         self._early.pop(side, None)
         if self._running.pop(side, None) is not None and self._current is not None:
             self._judge_all(self._current)
 
     def jumped(self, side: str) -> None:
-        """The clock of a side jumped: its running trial has no even time and is left out; samples are taken anew."""
+        """The clock of a side jumped: its current trial has no consistent time and is left out; new samples are
+        accepted."""
         for stream in self._streams[side].values():
             stream.recent.clear()
         self.abort(side)
 
     def forget(self, side: str) -> None:
-        """Drops every trial of a side that is another one now, as a simulation is after its model was replaced."""
+        """Drops every trial of a side that has changed, for example a simulation whose model was replaced."""
         self._running.pop(side, None)
         self._early.pop(side, None)
         self._started.discard(side)
@@ -385,10 +386,10 @@ class LiveGap:
         if mark.sequence_hash not in self._references:
             return []
         trials = self._references[mark.sequence_hash].select(signals)
-        found = np.full((trials.count, len(time), len(signals)), np.nan)
+        values = np.full((trials.count, len(time), len(signals)), np.nan)
         shared = min(len(time), len(trials.time))
-        found[:, :shared] = trials.values[:, :shared]
-        return list(found)
+        values[:, :shared] = trials.values[:, :shared]
+        return list(values)
 
     def _begin_early(self) -> list[Judged]:
         """Begins the trials whose marks came too early, once the samples around their start are there."""
@@ -403,7 +404,7 @@ class LiveGap:
         return judged
 
     def _signals_of(self, side: str, mark: TrialMark) -> tuple[str, ...]:
-        """What is compared in a trial; empty while nothing was measured that could tell."""
+        """What is compared in a trial; empty until something was measured."""
         if not any(stream.recent for stream in self._streams[side].values()):
             return ()
         command = self._commands.get(mark.sequence_hash)
@@ -483,7 +484,7 @@ class LiveGap:
         return [Judged(real, sim.mean, alike.copy(), stamp)]
 
     def _judge_all(self, command: _Command) -> None:
-        """Judges anew what the finished trials tell; the samples of a running trial are in it as far as they came."""
+        """Judges the finished trials again; the samples of a running trial are included as far as they came."""
         command.seen[:] = False
         command.alike[:] = False
         self._judge(command, slice(0, len(command.time)))

@@ -27,8 +27,8 @@ class RestWatch:
     """Judges from noisy positions whether something moves.
 
     The speed is the difference between the means of the two halves of the last `window` seconds, so that the flicker
-    of an encoder between two counts is no motion. At rest is what was no faster than `speed` for `window` seconds.
-    One thread may add while another asks or resets.
+    of an encoder between two counts is no motion. It is at rest after it was no faster than `speed` for `window`
+    seconds. One thread may add while another asks or resets.
 
     Args:
         window: s.
@@ -43,7 +43,7 @@ class RestWatch:
         self.speeds: Array = np.zeros(0)
 
     def add(self, time: float, positions: Array) -> None:
-        """One measurement: time in s, positions (j,) in rad, NaN where not measured. Time going back starts anew."""
+        """One measurement: time in s, positions (j,) in rad, NaN where not measured. Starts again if time goes back."""
         with self._lock:
             self._add(time, positions)
 

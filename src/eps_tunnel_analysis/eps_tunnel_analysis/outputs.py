@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How results leave: new folders, JSON, and values in the units people read."""
+"""Output of results: new folders, JSON, and values in the units people read."""
 
 import errno
 import json
@@ -63,7 +63,7 @@ def numbered_folder(out: Path, name: str, by: str = "--out") -> Path:
     """Makes the folder out/NAME-N with the first N from 1 that is free; two callers at once never get the same.
 
     Args:
-        by: by what the person names another `out`, for the complaint.
+        by: the option by which the user names another `out`, for the complaint.
 
     Raises:
         InputError: none can be made.
@@ -82,7 +82,7 @@ def numbered_folder(out: Path, name: str, by: str = "--out") -> Path:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """A folder to write into, which takes its name only when everything is in it.
+    """A folder to write into, which gets its name only when everything is in it.
 
     Raises:
         InputError: it exists, or cannot be made, or the disk is full; nothing is left of it.
@@ -183,7 +183,7 @@ def json_text(content: Any) -> str:
 
 
 def called() -> str:
-    """The command that runs; "python" where it is none of ours, as in a notebook."""
+    """The command that runs; "python" if it is not one of ours, as in a notebook."""
     return shlex.join(["eps-tunnel", *sys.argv[1:]]) if f"{__package__}.cli.main" in sys.modules else "python"
 
 

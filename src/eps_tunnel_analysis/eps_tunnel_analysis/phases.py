@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a model fails: what the command was asking for at each sample, and how the misfit spreads over that."""
+"""Where a model fails: what the command requested at each sample, and how the misfit is distributed over that."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ SAME_POSE = 0.01  # share of the command's range within which two poses count as
 
 MEANING = {
     "moving": f"the command moves, or moved less than {SETTLE:g} s ago",
-    "reversal": f"the first {REVERSAL:g} s after the command turned round without a pause",
+    "reversal": f"the first {REVERSAL:g} s after the command reversed without a pause",
     "hold": "the command stands still away from where it started",
     "rest": "the command stands still where it started",
     "no command": "none was sent yet, or the drive was off",
@@ -30,7 +30,7 @@ MEANING = {
 MOVING = ("moving", "reversal")
 LENGTHS = ("m", "m/s")
 CROSSWISE = dict(zip(BALL_SIGNALS, BALL_SIGNALS[::-1], strict=True))
-EXCESS = 0.05  # error share beyond the time share from which a phase is told
+EXCESS = 0.05  # error share beyond the time share from which a phase is reported
 NO_RANGE = 1e-9  # SI units; a signal with a smaller range stands still, and its error is taken as it is
 NOWHERE = "Nowhere beyond what the rig itself repeats."
 MOST_AMPLITUDES = 6  # more than these are put into as many equal classes
@@ -115,7 +115,7 @@ def phases(time: Array, command: Array, before: float = np.nan) -> Phases:
 def target_before(time: Array, command: Array, measured: Array) -> float:
     """The target in rad until time zero, of a command (T,) that begins with a step; NaN where it does not.
 
-    Trials begin with their first command, so that only the joint (T,) tells where it came from: it starts elsewhere,
+    Trials begin with their first command, so that only the joint (T,) shows where it came from: it starts elsewhere,
     and goes to the target.
     """
     if not (len(time) and np.isfinite(command[0]) and np.isfinite(measured[0])):
@@ -216,7 +216,7 @@ def where(real: Trials, sim: Trials) -> tuple[Misfit, ...]:
 
 
 def sentences(misfits: Iterable[Misfit], most: int = 3) -> tuple[str, ...]:
-    """Where the model fails in words, worst first; NOWHERE where it is off by no more than the rig itself.
+    """Where the model fails in words, worst first; NOWHERE if it is off by no more than the rig itself.
 
     Named are phases with far more of a signal's error than of its time, and signals whose error is spread evenly. They
     are ranked across signals by their RMS in units of the signal's repeat spread. Where a spread is unknown, the signal
@@ -267,7 +267,7 @@ def _groupings(label: Phases, unit: str) -> Iterator[tuple[str, NDArray[np.str_]
 
 
 def _others(labels: Mapping[str, Phases], channel: str) -> NDArray[np.str_]:
-    """Whether another channel's command is on its way: errors that come and go with it are coupling."""
+    """Whether another channel's command is moving: errors that come and go with it are coupling."""
     moving = np.any([np.isin(label.phase, MOVING) for name, label in labels.items() if name != channel], axis=0)
     return np.where(moving, "another moves", "all others stand still")
 

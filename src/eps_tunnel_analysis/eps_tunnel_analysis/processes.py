@@ -31,7 +31,7 @@ class CommandResult:
     Attributes:
         code: exit code.
         content: the JSON that it printed; None where it failed. An interrupted one may have some.
-        complaint: what it said on stderr besides its progress; never empty.
+        complaint: its stderr without progress lines; never empty.
     """
 
     code: int
@@ -40,7 +40,7 @@ class CommandResult:
 
 
 def spare_threads() -> int:
-    """Threads that leave a core to nodes which run beside: where one of two waits for its turn, both wait."""
+    """Number of threads that leaves a core to nodes running at the same time, so that threads need not wait in turn."""
     return max(1, (os.cpu_count() or 1) - 1)
 
 
@@ -53,7 +53,7 @@ def run_program(
         given: what it reads from stdin.
         progress: called from another thread with every line of stderr that is a JSON object; a KeyError or TypeError in
             it makes the line a complaint.
-        stopped: asked now and then; once true the program is interrupted as by Ctrl-C.
+        stopped: polled; when true the program is interrupted as by Ctrl-C.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     process = subprocess.Popen(
@@ -142,7 +142,7 @@ class Processes:
         return "\n".join(f"  {line}" for line in text.splitlines()[-lines:]) or "  (it printed nothing)"
 
     def stop(self) -> list[str]:
-        """Ends all, the last one started first; returns the names of those that had to be killed."""
+        """Ends all, in reverse order of their start; returns the names of those that had to be killed."""
         killed = []
         for name, process in reversed(self._running.items()):
             if process.poll() is None:

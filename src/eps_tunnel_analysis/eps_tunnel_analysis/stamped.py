@@ -68,15 +68,15 @@ class StampedTrial:
 def stamped_from_grid(trials: Trials) -> tuple[StampedTrial, ...]:
     """Trials of which only the grid is known: its times are the stamps."""
     time = trials.time - trials.time[0]
-    found = []
+    stamped = []
     for values, commands in zip(trials.values, trials.commands, strict=True):
         signals = {}
         for column, name in enumerate(trials.signals):
             seen = np.isfinite(values[:, column])
             signals[name] = Series(time[seen], values[seen, column])
         sent = {name: Series(time, commands[:, u]) for u, name in enumerate(trials.command_channels)}
-        found.append(StampedTrial(float(time[-1]), sent, signals))
-    return tuple(found)
+        stamped.append(StampedTrial(float(time[-1]), sent, signals))
+    return tuple(stamped)
 
 
 def aligned(trials: Sequence[StampedTrial]) -> tuple[StampedTrial, ...]:

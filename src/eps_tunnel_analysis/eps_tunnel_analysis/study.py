@@ -77,7 +77,7 @@ def load(
             {"*kp_100*": {"drive.pendulum.kp": 100.0}}.
         held_out: bags that are never fitted, only judged.
         candidates: names of the effects that a diagnosis considers; by default all.
-        effects: folder with effect files of your own.
+        effects: folder with your own effect files.
         rig: name or file; by default the model's, or what the bags offer.
         signals: by default every position.
         rate: Hz of the common grid; by default the rig's, 100 without one.
@@ -178,7 +178,7 @@ class Study:
         return StudyGap(replace(comparison, notes=notes), sides.facts, sides.model, step, sides.checked)
 
     def check(self, progress: bool = True) -> "Check":
-        """What the recordings are like and which values and effects they can tell, before anything is fitted.
+        """Quality of the recordings and which values and effects they can identify, before anything is fitted.
 
         Raises:
             InputError: as `recorded`.
@@ -198,8 +198,8 @@ class Study:
 
         recorded = self.recorded
         with rollout_progress("bar" if progress else "none") as show:
-            found = diagnose_recorded(recorded, self._options, DiagnosisRun(show, propose=True))
-        return StudyReason(found.diagnosis, recorded, self.real, found.proposal, found.checked)
+            diagnosed = diagnose_recorded(recorded, self._options, DiagnosisRun(show, propose=True))
+        return StudyReason(diagnosed.diagnosis, recorded, self.real, diagnosed.proposal, diagnosed.checked)
 
     def calibrate(
         self,
@@ -361,8 +361,8 @@ class StudyReason(_InNotebook):
         diagnosis: the verdict, its models and comparisons, axis by axis.
         recorded: what was diagnosed.
         real: bags as they were named.
-        proposal: where the verdict is "unknown", a law of its own.
-        checked: what the recordings are like and can tell.
+        proposal: a law, if the verdict is "unknown".
+        checked: quality of the recordings and what they can identify.
     """
 
     diagnosis: "Diagnosis"
@@ -410,8 +410,8 @@ class StudyReason(_InNotebook):
 
         refuse_existing(Path(folder))
         name = str(self.recorded.model.path or self.recorded.model.name)
-        found = Findings(self.diagnosis, self.recorded, self.proposal, self.checked)
-        return write_reason(found, Path(folder), self.real, name).report
+        findings = Findings(self.diagnosis, self.recorded, self.proposal, self.checked)
+        return write_reason(findings, Path(folder), self.real, name).report
 
     def _print(self, out: Console) -> None:
         print_verdict(self.verdict, self.recorded.notes, out, self.recorded.model.rig.position_unit)
@@ -443,7 +443,7 @@ class StudyFit:
         return self.calibration.result.values
 
     def save(self, file: Named) -> Path:
-        """Writes the model, and the whole result beside it as .fit.json; returns the model's file.
+        """Writes the model, and the complete result next to it as .fit.json; returns the model's file.
 
         Raises:
             InputError: either exists, or cannot be written.

@@ -132,7 +132,7 @@ def print_calibration(result: "CalibrationResult", notes: Sequence[str], out: Co
             for p in result.plays[:RECORDINGS_LISTED]
         ]
         count = len(result.plays)
-        some = f", those that fared worst, {RECORDINGS_LISTED} of {count}" if count > RECORDINGS_LISTED else ""
+        some = f", the worst {RECORDINGS_LISTED} of {count}" if count > RECORDINGS_LISTED else ""
         table(
             out, f"Error of each recording{some}", ("recording", "", "E before", "E after", "change"), by_play, left=2
         )
@@ -202,7 +202,7 @@ def print_next(out: Console, words: str, command: str) -> None:
 
 @contextmanager
 def fit_bars(kind: str) -> "Iterator[Bars | None]":
-    """What `calibrate_model` tells its progress to: "bar", "lines" (one JSON object each) or "none"."""
+    """What shows the progress of `calibrate_model`: "bar", "lines" (one JSON object each) or "none"."""
     if kind == "none":
         yield None
         return
@@ -267,7 +267,7 @@ def rollout_progress(kind: str = "bar") -> "Iterator[RolloutProgress | None]":
 
 
 def _spoken() -> "RolloutProgress":
-    """Plain lines, for a file or a pipe that somebody watches; nothing of what is over before the first is due."""
+    """Plain lines, for a file or a pipe that a person watches; nothing of what is over before the first is due."""
     began = last = time.monotonic()
 
     def show(what: str, count: int, of: int = 0, /) -> None:

@@ -104,7 +104,7 @@ def build_tunnel(trials: Trials) -> Tunnel:
 def smooth(tunnel: Tunnel, half_width: int = HALF_WIDTH) -> Tunnel:
     """The tunnel with its limits averaged over 2 * half_width + 1 samples, equation 12; the mean stays.
 
-    At the ends, and beside samples that no trial saw, the average is over the samples that exist.
+    At the ends, and next to samples that no trial saw, the average is over the samples that exist.
 
     Raises:
         InputError: the tunnel is smoothed already, or half_width is negative.

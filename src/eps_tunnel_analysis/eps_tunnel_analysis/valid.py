@@ -24,18 +24,18 @@ def ranges(real: Sequence[Trials], sim: Sequence[Trials]) -> dict[str, ShownSign
     Args:
         real, sim: trials of each play; a model's efforts are there whether or not they were recorded.
     """
-    found: dict[str, ShownSignal] = {}
+    shown: dict[str, ShownSignal] = {}
     for trials in real:
         for i, (name, unit) in enumerate(zip(trials.signals, trials.units, strict=True)):
             if unit in POSITIONS:
                 mean = build_tunnel(trials).mean[:, i]
-                found = _wider(found, name, unit, mean, _speed(mean, trials.step))
+                shown = _wider(shown, name, unit, mean, _speed(mean, trials.step))
     for trials in sim:
         for i, (name, unit) in enumerate(zip(trials.signals, trials.units, strict=True)):
             if unit in EFFORTS:
                 within = np.nanquantile(trials.values[:, :, i], [1.0 - LOAD_SHARE, LOAD_SHARE])
-                found = _wider(found, name, unit, within, None)
-    return found
+                shown = _wider(shown, name, unit, within, None)
+    return shown
 
 
 def beyond(model: Model, real: Trials, sim: Trials) -> tuple[str, ...]:
@@ -51,27 +51,27 @@ def beyond(model: Model, real: Trials, sim: Trials) -> tuple[str, ...]:
         said = []
         if here.low < shown.low - room or here.high > shown.high + room:
             low, high, from_, to = (shown_value(v, here.unit) for v in (here.low, here.high, shown.low, shown.high))
-            said.append(f"goes from {low} to {high}, shown from {from_} to {to}")
+            said.append(f"goes from {low} to {high}, validated from {from_} to {to}")
         if here.speed is not None and shown.speed is not None and here.speed > (1.0 + LEFT_BY) * shown.speed:
             fast, known = (shown_value(v, f"{here.unit}/s") for v in (here.speed, shown.speed))
-            said.append(f"moves at up to {fast}, shown up to {known}")
+            said.append(f"moves at up to {fast}, validated up to {known}")
         if said:
-            notes.append(f"Beyond what model '{model.name}' was shown to hold for: {name} {' and '.join(said)}.")
+            notes.append(f"Outside the validated range of model '{model.name}': {name} {' and '.join(said)}.")
     return tuple(notes)
 
 
 def _wider(
-    found: dict[str, ShownSignal], name: str, unit: str, values: Array, speed: float | None
+    shown: dict[str, ShownSignal], name: str, unit: str, values: Array, speed: float | None
 ) -> dict[str, ShownSignal]:
     """The ranges, so wide that they hold values (T,) and a speed, too."""
     if not np.isfinite(values).any():
-        return found
+        return shown
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    old = found.get(name)
+    old = shown.get(name)
     if old is not None:
         low, high = min(low, old.low), max(high, old.high)
         speed = None if speed is None else max(speed, old.speed or 0.0)
-    return {**found, name: ShownSignal(unit, low, high, speed)}
+    return {**shown, name: ShownSignal(unit, low, high, speed)}
 
 
 def _speed(mean: Array, step: float) -> float:

@@ -23,8 +23,8 @@ ARGUMENTS: dict[str, tuple[SomeSubstitutionsType, str]] = {
     "testbed_config": ("paper", "Name or path of a config/testbed file, where emulated."),
     "hw_config": ("paper", "Name or path of a config/hw file."),
     "model": ("labyrinth", "Name or path of the model that is compared with the rig."),
-    "real_time_factor": ("1.0", "Simulated over real seconds; where not 1, give use_sim_time:=true."),
-    "publish_clock": ("false", "Whether the simulation publishes /clock at a factor of 1, too."),
+    "real_time_factor": ("1.0", "Simulated over real seconds; if it is not 1, give use_sim_time:=true."),
+    "publish_clock": ("false", "Whether the simulation publishes /clock even at a factor of 1."),
     "use_sim_time": ("false", "Whether player and analysis_node follow /clock."),
     "params_file": (
         PathJoinSubstitution([FindPackageShare("eps_tunnel_analysis"), "config", "nodes", "eps_tunnel_analysis.yaml"]),
@@ -34,7 +34,7 @@ ARGUMENTS: dict[str, tuple[SomeSubstitutionsType, str]] = {
     "trials": ("0", "Number of trials; 0: as the sequence says."),
     "record": ("false", "Whether one bag per side is recorded."),
     "folder": ("", "Folder for the bags; empty: a new one under out/."),
-    "monitor": ("false", "Whether the page to watch is served, on http://localhost:8765/."),
+    "monitor": ("false", "Whether the web page is served, on http://localhost:8765/."),
 }
 
 

@@ -36,7 +36,7 @@ def titles(report: Path) -> list[str]:
 
 def section(report: Path) -> str:
     """The text on the recordings."""
-    found = re.search('<section id="what-the-recordings-can-tell">(.*?)</section>', report.read_text(), re.DOTALL)
+    found = re.search('<section id="what-the-recordings-can-identify">(.*?)</section>', report.read_text(), re.DOTALL)
     assert found
     return unescape(found[1])
 
@@ -47,7 +47,7 @@ def alike(report: Path) -> set[str]:
 
 
 def opens(report: Path) -> bool:
-    return titles(report)[:2] == ["At a glance", "What the recordings can tell"]
+    return titles(report)[:2] == ["At a glance", "What the recordings can identify"]
 
 
 def test_a_diagnosis_tells_the_check_first_on_terminal_page_and_in_json(
@@ -63,7 +63,7 @@ def test_a_diagnosis_tells_the_check_first_on_terminal_page_and_in_json(
     assert opens(page), titles(page)
     told = section(page)
     shown, _, folded = told.partition("<details>")
-    assert "beyond the axis's limits" in shown and "<summary>What else was found" in folded
+    assert "beyond the axis's limits" in shown and "<summary>Other findings" in folded
     assert FEW in folded and EXCITES in folded
     assert done.stdout.index("! Command arm goes from") < done.stdout.index(EXCITES) < done.stdout.index("Report:")
 

@@ -99,7 +99,7 @@ def test_a_damaged_bag_is_repaired_into_a_new_one(bags, tmp_path):
     assert f"{saved} messages saved" in result.stdout
     sound = eps_tunnel("repair", bags / "sim", "--out", tmp_path / "copy")
     assert sound.returncode == 0, sound.stderr
-    assert "The bag was whole" in sound.stdout
+    assert "The bag was complete" in sound.stdout
     assert eps_tunnel("compare", "--real", bags / "real", "--sim", tmp_path / "copy").returncode == 0
     refused("repair", bags / "sim", "--out", tmp_path / "copy", told=[tmp_path / "copy", "exists"])
 

@@ -97,4 +97,4 @@ def test_another_step_or_unit_is_refused():
 
 def test_one_real_trial_is_told():
     t = make_trials(np.zeros((1, 5, 1)))
-    assert "One real trial only" in " ".join(compare(t, t).notes)
+    assert "Only one real trial" in " ".join(compare(t, t).notes)

@@ -41,11 +41,11 @@ def verdict(probabilities: Mapping[str, float]) -> Verdict:
         ({"backlash.x": 0.97}, ("backlash.x",), ""),
         ({NONE: 0.97}, (), ""),
         ({UNKNOWN: 0.6, "backlash.x": 0.4}, (), ""),
-        # What all of them hold, as gravity load and load friction on a pendulum.
+        # What all of them contain, as gravity load and load friction on a pendulum.
         (
             {"backlash.x + gravity_load.x": 0.5, "backlash.x + coulomb_friction.x": 0.45},
             ("backlash.x",),
-            "These recordings leave 2 sets of effects; all of them hold backlash (belt slack) on x.",
+            "These recordings leave 2 sets of effects; all of them contain backlash (belt slack) on x.",
         ),
         ({"backlash.x + gravity_load.x": 0.45, "gravity_load.x": 0.35, UNKNOWN: 0.2}, ("gravity_load.x",), "These"),
         (

@@ -186,7 +186,7 @@ def test_a_page_is_told_everything_at_first_and_changes_from_then_on(local: Serv
         return everything, news
 
     everything, news = local.live(talk, Origin=f"http://{local.host}")
-    assert everything["job"] == {"kind": "play", "told": "", "seconds": 1.0}
+    assert everything["job"] == {"kind": "play", "progress": "", "seconds": 1.0}
     assert [entry[3] for entry in everything["log"]["entries"]] == ["one"]
     assert set(news) == {"log"}
     # One that comes again, after the connection broke say, is told everything again.

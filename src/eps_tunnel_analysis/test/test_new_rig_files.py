@@ -60,12 +60,12 @@ def alone(folder: Path) -> np.ndarray:
         ('<position joint="disc" kp="100"/>', "has no name in disc.xml; in robot.xml it is called disc", ["disc"]),
         (
             '<position joint="disc" kp="100"/><velocity name="brake" joint="disc" kv="5"/>',
-            "acts by brake; disc would act beside it and is switched off",
+            "uses brake; disc would act in addition and is switched off",
             ["disc", "brake"],
         ),
         (
             '<motor name="m" joint="disc"/><position name="hold" joint="disc" kp="100"/>',
-            "acts by m; hold would act beside it",
+            "uses m; hold would act in addition",
             ["m", "hold"],
         ),
     ],
@@ -110,7 +110,7 @@ def test_columns_of_lists_are_taken_in_the_models_order_of_joints(tmp_path: Path
     bags, notes = csv_bags([tmp_path / "run.csv"], robot.joints, tmp_path / "bags")
     told = " ".join(notes)
     assert "Column 'action' is a list, taken in the model's order of joints: pan, tilt." in told
-    assert "column 'effort' is left out, for it has 3 numbers a cell, and the model 2 joints." in told
+    assert "column 'effort' is left out, because it has 3 numbers per cell, and the model 2 joints." in told
     (recording,) = read_all(bags)
     states, commands = (recording.topics[f"/real/joint_{name}"] for name in ("states", "commands"))
     for i, joint in enumerate(("pan", "tilt")):
@@ -127,12 +127,12 @@ def test_columns_of_lists_are_taken_in_the_models_order_of_joints(tmp_path: Path
 
 def test_a_list_of_another_length_is_refused_and_one_of_two_that_do_not_fit_is_told(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("t,state\n0,1 2\n1,1 2 3\n")
-    with pytest.raises(InputError, match="line 3, column 'state': '1 2 3' is no list of 2 numbers"):
+    with pytest.raises(InputError, match="line 3, column 'state': '1 2 3' is not a list of 2 numbers"):
         csv_bags([tmp_path / "run.csv"], ["a", "b"], tmp_path / "bags")
     (tmp_path / "run.csv").write_text("t,q1[deg],state[0],state[1]\n0,1,5,6\n1,2,5,6\n")
     _, notes = csv_bags([tmp_path / "run.csv"], ["q1"], tmp_path / "bags")
     assert "position of q1 from column 'q1[deg]'" in notes[-1]
-    assert "column 'state' is left out, for there is another column of a position" in notes[0]
+    assert "column 'state' is left out, because there is another column of a position" in notes[0]
 
 
 COUNTS = 4096 / (2 * np.pi)

@@ -75,7 +75,7 @@ def test_a_check_ends_with_the_diagnosis_to_type(arm: tuple[Path, Path]) -> None
     printed = eps_tunnel("check", *read, "--candidates", "backlash", "--threads", 1)
     assert not printed.returncode, printed.stderr
     words, command = printed.stdout.splitlines()[-2:]
-    assert words == "Next: which physical effect the model lacks."
+    assert words == "Next: find out which physical effect the model lacks."
     assert shlex.split(command) == ["eps-tunnel", "diagnose", *map(str, read), "--out", "why"]
     assert parser().parse_args(shlex.split(command)[1:]).command == "diagnose"
     assert "begin with !" in after_check(True, [bags], str(model), None)[0]
@@ -90,7 +90,7 @@ def test_an_addition_ends_with_the_comparison_to_type(
     printed = eps_tunnel("add-effect", "coulomb_friction.a", *read, "--out", "better.yaml")
     assert not printed.returncode, printed.stderr
     words, command = printed.stdout.splitlines()[-2:]
-    assert words == "Next: see the gap closed."
+    assert words == "Next: check that the gap is closed."
     assert command.split() == f"eps-tunnel compare --real {bags} --model better.yaml --out better-gap".split()
     assert not main(shlex.split(command)[1:])
     assert (tmp_path / "better-gap" / "report.html").is_file()

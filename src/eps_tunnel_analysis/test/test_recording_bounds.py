@@ -186,7 +186,7 @@ def test_metadata_out_of_all_bounds_is_refused(tmp_path: Path) -> None:
     for change in ({"message_count": "abc"}, {"message_count": None}, {"relative_file_paths": 7},
                    {"topics_with_message_count": [{}]}, {"duration": []}):  # fmt: skip
         file.write_text(yaml.safe_dump({"rosbag2_bagfile_information": whole["rosbag2_bagfile_information"] | change}))
-        assert "not a whole bag" in told(bag)
+        assert "not a complete bag" in told(bag)
     number = yaml.safe_load(yaml.safe_dump(whole))
     number["rosbag2_bagfile_information"]["topics_with_message_count"][0]["topic_metadata"]["name"] = 7
     file.write_text(yaml.safe_dump(number))

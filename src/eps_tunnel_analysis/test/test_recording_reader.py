@@ -158,7 +158,7 @@ def test_a_closed_bag_that_was_cut_is_refused(tmp_path: Path, share: float) -> N
     bag = write_bag(tmp_path / "bag")
     file = bag / "bag.mcap"
     file.write_bytes(file.read_bytes()[: int(file.stat().st_size * share)])
-    assert "not a whole bag" in told(bag)
+    assert "not a complete bag" in told(bag)
 
 
 def test_a_flipped_bit_is_refused(tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_a_flipped_bit_is_refused(tmp_path: Path) -> None:
     data = bytearray((bag / "bag.mcap").read_bytes())
     data[1500] ^= 0x10
     (bag / "bag.mcap").write_bytes(data)
-    assert "not a whole bag" in told(bag)
+    assert "not a complete bag" in told(bag)
 
 
 def test_a_missing_file_of_a_bag_is_told(tmp_path: Path) -> None:

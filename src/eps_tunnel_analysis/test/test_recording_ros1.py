@@ -74,7 +74,7 @@ def test_a_torn_ros1_bag_and_one_that_swells_are_refused(tmp_path: Path, monkeyp
     content = file.read_bytes()
     for torn in (b"", content[:200], content[: len(content) // 2], b"no bag at all\n"):
         (tmp_path / "torn.bag").write_bytes(torn)
-        with pytest.raises(InputError, match=r"torn.bag is not a whole ROS 1 bag .*rosbag reindex"):
+        with pytest.raises(InputError, match=r"torn.bag is not a complete ROS 1 bag .*rosbag reindex"):
             read(tmp_path / "torn.bag")
     monkeypatch.setattr(Allowance, "of", lambda files: Allowance(1000))
     with pytest.raises(InputError, match="becomes more than"):

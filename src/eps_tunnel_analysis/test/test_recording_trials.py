@@ -136,7 +136,7 @@ def test_trial_marks_cut_one_bag_into_trials(tmp_path: Path) -> None:
     assert np.allclose(trials.time, np.arange(101) / 100)
     assert np.allclose(trials.values[:, :, 0], trials.time + np.array([[0], [2]]))
     assert (result.sequence, result.sequence_hash) == ("eight_seconds", "a")
-    assert "trial 1 was given up" in result.report.notes[0]
+    assert "trial 1 was aborted" in result.report.notes[0]
     assert "trial 3 has no end mark" in result.report.notes[1]
 
 

@@ -117,7 +117,7 @@ def test_the_title_is_the_answer():
     assert headline(off_by(0.02), "m").startswith("m is off by 1")
     assert "times what the rig itself repeats, most on a" in headline(off_by(0.02), "m")
     assert headline(off_by(1e-5), "m") == "m is as close to the rig as the rig is to itself"
-    assert "one trial tells no repeat spread" in headline(off_by(0.02, trials=1), "m")
+    assert "one trial gives no repeat spread" in headline(off_by(0.02, trials=1), "m")
     page = compare_report(off_by(0.02), "m", [], ("Next.", "eps-tunnel diagnose"))
     assert re.search(r"<h1>(.*)</h1>", page)[1] == headline(off_by(0.02), "m")
 
@@ -141,7 +141,7 @@ def test_three_numbers_open_the_page_and_the_third_says_so_where_it_is_unknown(t
     assert f"{shown_value(before.errors[0].command_error, 'rad')} before" in error[2]
     assert alike[0] == shown_share(after.alikeness[0].joint)
     assert rig[0] == (shown_share(after.against_itself[0].joint) if trials > 2 else "–")
-    assert ("Three trials" in rig[2]) == (trials < 3)
+    assert ("three trials" in rig[2]) == (trials < 3)
 
 
 def test_before_and_after_stand_side_by_side_on_one_scale():

@@ -115,8 +115,8 @@ def test_what_a_model_does_not_state_is_told_in_one_line(tmp_path: Path) -> None
     path.write_text(yaml.safe_dump(content))
     bag = record(load_model(path), tmp_path / "bag")
     (line,) = [
-        t for t in eps_tunnel("compare", "--real", bag, "--model", path).stdout.splitlines() if "does not state" in t
+        t for t in eps_tunnel("compare", "--real", bag, "--model", path).stdout.splitlines() if "Not stated by" in t
     ]
-    assert line == "Note: Model 'm' does not state, so defaults hold: drive.a.torque 2.8 N m."
+    assert line == "Note: Not stated by model 'm', so defaults apply: drive.a.torque 2.8 N m."
     with pytest.raises(InputError, match="Unknown parameter"):
         load_sides([bag], model=str(path), known=["*:drive.a.stifness=3"])

@@ -3,8 +3,8 @@
 
 Steel mirrors the room: it is bright, and as blue as the light is, while wood swallows blue. Brightness in blue beyond
 what wood of the same redness shows marks the ball and leaves out shadows (less light, same colour), holes and lines
-(dark). A painted marble is marked by its colour beside the wood's. Glare is as bright but larger, so the mark must be a
-disc of the ball's size. The disc is measured on the plane
+(dark). A painted marble is marked by the difference of its colour from the wood's. Glare is as bright but larger, so
+the mark must be a disc of the ball's size. The disc is measured on the plane
 through the ball's centre that faces the camera, where a sphere is a circle: no perspective is left in its middle.
 """
 

@@ -93,20 +93,20 @@ class ServoBus:
             BusError: servos missing or of another model; names what was expected and what answered.
         """
         self.port.openPort()
-        found: dict[int, int] = {}
+        answered_models: dict[int, int] = {}
         for motor in self.motors.values():
             for _ in range(RETRIES + 1):
                 number, result, _ = self._guarded(self.packets.ping, motor.id)
                 if result == COMM_SUCCESS:
-                    found[motor.id] = number
+                    answered_models[motor.id] = number
                     break
-        missing = [m for m in self.motors.values() if m.id not in found]
-        wrong = [m for m in self.motors.values() if m.id in found and found[m.id] != m.model.number]
+        missing = [m for m in self.motors.values() if m.id not in answered_models]
+        wrong = [m for m in self.motors.values() if m.id in answered_models and answered_models[m.id] != m.model.number]
         if missing or wrong:
             expected = ", ".join(
                 f"{m.name}: id {m.id}, {m.model.name} ({m.model.number})" for m in self.motors.values()
             )
-            answered = ", ".join(f"id {i}: model number {n}" for i, n in sorted(found.items())) or "nothing"
+            answered = ", ".join(f"id {i}: model number {n}" for i, n in sorted(answered_models.items())) or "nothing"
             names = ", ".join(m.name for m in missing) or "none"
             others = ", ".join(m.name for m in wrong) or "none"
             self.port.closePort()
@@ -234,7 +234,8 @@ class ServoBus:
                 f"{name} (id {motor.id}) is in operating mode {mode}; expected "
                 f"{' or '.join(f'{OPERATING_MODES[each]} ({each})' for each in wanted)}"
                 f"{_purpose(motor, torque_share is not None and with_current)}. Nothing was written: "
-                f"state `operating_mode: {wanted[0]}` for this motor to have it set, or set it by the maker's tool."
+                f"state `operating_mode: {wanted[0]}` for this motor to have it set, or set it with the "
+                "manufacturer's tool."
             )
         if motor.law is not None:
             self.write(name, "goal_current", 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest frame of any source OpenCV opens, stamped at exposure, and the lens's figures."""
+"""The newest frame of any source that OpenCV can open, stamped at exposure, and the lens parameters."""
 
 import threading
 import time
@@ -81,7 +81,7 @@ class Intrinsics:
         return Intrinsics(**figures.model_dump())
 
     def save(self, path: Path | str) -> None:
-        """To a new YAML file. Raises InputError where it exists, for nothing is overwritten, or cannot be written."""
+        """To a new YAML file. Raises InputError if it exists, because nothing is overwritten, or cannot be written."""
         figures = {**asdict(self), "distortion": list(self.distortion)}
         write_new(Path(path), yaml.safe_dump(figures, sort_keys=False))
 

@@ -116,7 +116,7 @@ def measure_latency(
     if len(t) < 50:
         raise InputError(f"{len(t)} camera samples overlap the encoders' record; at least 50 are needed. Record 10 s.")
     if np.ptp(encoder_angle) < 0.01 or np.std(tilt) < 1e-4:
-        raise InputError("The board hardly moved. Tilt it by some degrees to and fro while recording.")
+        raise InputError("The board hardly moved. Tilt it back and forth by a few degrees while recording.")
     shifts = np.arange(-longest, longest + 5e-4, 1e-3)
     scores = np.array([_correlation(tilt, np.interp(t - shift, encoder_time, encoder_angle)) for shift in shifts])
     sign = 1.0 if scores.max() >= -scores.min() else -1.0  # the encoder may count the other way

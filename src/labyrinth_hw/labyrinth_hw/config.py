@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds, reads and checks the rig's YAML files: $EPS_TUNNEL_CONFIG, the source tree, then what was installed.
 
-New files are written whole or not at all.
+New files are written completely or not at all.
 """
 
 import os
@@ -60,8 +60,8 @@ class YamlFile:
 
 def folders(kind: str) -> tuple[Path, ...]:
     """Existing folders that hold files of this kind ("hw", "testbed"), the first to be searched first."""
-    found = {folder.resolve(): None for folder in _candidates(kind) if folder.is_dir()}
-    return tuple(found)
+    existing = {folder.resolve(): None for folder in _candidates(kind) if folder.is_dir()}
+    return tuple(existing)
 
 
 def _candidates(kind: str) -> Iterator[Path]:
@@ -230,7 +230,7 @@ def _section(kind: Any) -> type[BaseModel] | None:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Writes a file that must not exist yet, beside its place, and moves it there.
+    """Writes a file that must not exist yet, next to its final place, and moves it there.
 
     Raises:
         InputError: it exists, or cannot be written; nothing is left of it.

@@ -92,7 +92,7 @@ class ServoModel:
 
     @property
     def effort_register(self) -> str:
-        """The register that the effort is read from: the load share where there is one, beside the position."""
+        """The register that the effort is read from: the load share if there is one, next to the position."""
         return "present_load" if "present_load" in self.registers else "present_current"
 
     @property
@@ -188,7 +188,7 @@ def _protocol_1(
 
 
 def _protocol_2(model: int, *, current: float | None, volts: tuple[int, int], p_gain: int) -> dict[str, Register]:
-    """MX (2.0), XL330 and XL430: two byte addresses, two's complement, 4096 counts a turn, zero at 2048."""
+    """MX (2.0), XL330 and XL430: two byte addresses, two's complement, 4096 counts per turn, zero at 2048."""
     tick, speed = 2 * pi / 4096, 0.229 * RPM
     table = {
         "model_number": Register(0, 2, initial=model),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the hardware node asks of the machine: where the emulated testbed leaves its devices, and real-time priority.
 
-Priority is had where the system grants it, for a control loop that must not wait for a busy machine.
+Priority is used if the system grants it, for a control loop that must not wait on a busy machine.
 """
 
 import os

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rig as one thing: servos, sensor line, safety and compensation, one control period at a time. Knows no ROS."""
+"""The rig as one thing: servos, sensor line, safety and compensation, one control period at a time. Independent of
+ROS."""
 
 import threading
 import time
@@ -158,14 +159,14 @@ class Hardware:
             self.bus.write_goals(goals)
 
     def arm(self) -> None:
-        """Obey commands from now on. Raises InputError while stopped, HardwareError without servos."""
+        """Execute commands from now on. Raises InputError while stopped, HardwareError without servos."""
         if not self.connected:
             raise HardwareError(f"The servos do not answer: {self.trouble or 'not connected'}")
         with self._judging:
             self.safety.arm(time.monotonic())
 
     def disarm(self, reason: str = "") -> None:
-        """Torque off with the next period, and no command is obeyed."""
+        """Torque off with the next period, and no command is executed."""
         with self._judging:
             self.safety.disarm(reason)
 
@@ -182,7 +183,7 @@ class Hardware:
     def supply_ball(self) -> None:
         """Let the depot release a ball with the next request. Raises SensorError without a sensor line."""
         if self.sensors is None or not self.sensors_connected:
-            raise SensorError("The ball depot hangs on the sensor line, and that is not connected.")
+            raise SensorError("The ball depot is on the sensor line, which is not connected.")
         self._supply = True
 
     def close(self) -> None:

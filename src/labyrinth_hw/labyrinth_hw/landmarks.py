@@ -179,7 +179,7 @@ class LandmarkTracker:
         quarter_turns: how often the camera is turned by 90 degrees (counter-clockwise in the picture); the rest may
             be up to about 40 degrees.
         gate: px that a dot may jump between frames.
-        suspect: px of residual above which it is tried whether one dot lies.
+        suspect: px of residual above which each dot is tested for being wrong.
         tolerance: px of residual above which a fit to all dots is not believed; less with fewer dots to check it.
         vague: rad of tilt per px of error in the dots above which a fit is not believed: two dots of the board on one
             diagonal do not determine the turn about it.
@@ -198,7 +198,8 @@ class LandmarkTracker:
     lost: int = 0
 
     def update(self, frame: Frame) -> BoardPose | None:
-        """The pose in this frame; None where the dots leave it open. Raises InputError for a frame of another size."""
+        """The pose in this frame; None if the dots do not determine it. Raises InputError for a frame of another
+        size."""
         if frame.ndim != 3 or frame.shape[:2] != (self.intrinsics.height, self.intrinsics.width):
             wanted = f"({self.intrinsics.height}, {self.intrinsics.width}, 3)"
             raise InputError(f"Expected a frame of shape {wanted} as the intrinsics say, got {frame.shape}.")
@@ -298,7 +299,8 @@ class LandmarkTracker:
         return self._refit(winner) if winner is not None else None
 
     def _start(self, points: Array, pixels: Array) -> Array | None:
-        """(8,) first guess: the box's pose were the board level; None where it looks from beside or below."""
+        """(8,) first guess: the box's pose if the board were level; None if the camera looks from the side or from
+        below."""
         ok, turn, shift = cv2.solvePnP(points, pixels, *self.intrinsics.arrays(), flags=cv2.SOLVEPNP_IPPE)
         if not ok or shift[2] <= 0 or cv2.Rodrigues(turn)[0][2, 2] > -0.7:
             return None

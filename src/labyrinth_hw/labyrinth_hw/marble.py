@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A painted marble's colour, learned from one click: how its tint differs from that of the wood beside it.
+"""A painted marble's colour, learned from one click: how its tint differs from that of the wood next to it.
 
 Tints are logarithms of the ratios blue/red and green/red, so that the light's level cancels; differences to the wood in
 the same picture, so that its warmth does, too.
@@ -21,7 +21,7 @@ from labyrinth_hw.config import Number, Section, write_new
 from labyrinth_hw.errors import InputError
 
 DARK = 6.0  # grey levels added to every channel, below which a tint is noise
-LEAST = 0.3  # difference of the tints, below which marble and wood cannot be told apart
+LEAST = 0.3  # difference of the tints, below which marble and wood cannot be distinguished
 REACH = 3  # px around the click that are looked at
 DIM, LIT = 0.35, 0.65  # of the marble's brightness: below is a hole or a shadow, above its lit side
 
@@ -35,7 +35,7 @@ class MarbleFile(Section):
 
 @dataclass(frozen=True)
 class Marble:
-    """A painted marble beside wood.
+    """A painted marble on wood.
 
     Attributes:
         tint: log blue/red and log green/red of the marble less those of the wood in the same light.
@@ -50,7 +50,7 @@ class Marble:
         """From a BGR picture that is mostly wood in its middle, and a click (x, y) px on the marble.
 
         Raises:
-            InputError: beside the picture, or a colour that is too near the wood's.
+            InputError: a click outside the picture, or a colour that is too close to the wood's.
         """
         height, width = frame.shape[:2]
         x, y = at
@@ -75,7 +75,7 @@ class Marble:
         return Marble(given.tint, given.brightness)
 
     def save(self, path: Path | str) -> None:
-        """To a new YAML file. Raises InputError where it exists, for nothing is overwritten."""
+        """To a new YAML file. Raises InputError if it exists, because nothing is overwritten."""
         figures = {"tint": [round(t, 4) for t in self.tint], "brightness": round(self.brightness, 4)}
         write_new(Path(path), yaml.safe_dump(figures, sort_keys=False))
 

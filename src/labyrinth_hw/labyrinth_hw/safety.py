@@ -120,7 +120,7 @@ class Safety:
     def arm(self, now: float) -> None:
         """Obey commands that are received from `now` on, s. Raises InputError while stopped."""
         if self.state is State.STOPPED:
-            raise InputError(f"Stopped: {'; '.join(self.reasons)}. Mend that, then call the reset service.")
+            raise InputError(f"Stopped: {'; '.join(self.reasons)}. Fix that, then call the reset service.")
         if self.state is State.DISARMED:
             self.state, self.reasons = State.WAITING, ()
             self._armed_at = self._newest = now
@@ -172,7 +172,7 @@ class Safety:
         return Order(True, {**self._held, **wanted}, frozenset(wanted), clipped)
 
     def lost_contact(self) -> None:
-        """The bus was gone: what was ordered no longer holds, and a fresh command is needed."""
+        """The bus was lost: earlier commands no longer apply, and a fresh one is needed."""
         self._held.clear()
         if self.armed:
             self.state = State.WAITING
@@ -192,26 +192,26 @@ class Safety:
         return max(-limit, min(limit, angle))
 
     def _violations(self, measured: Mapping[str, MotorState]) -> list[str]:
-        found = []
+        violations = []
         for name, m in measured.items():
             limit, degrees = self.limits[name], math.degrees
             for bit, text in self.meanings.get(name, {}).items():
                 if m.alarm & bit:
-                    found.append(f"{name}: the servo reports {text} (bit {bit:#04x})")
+                    violations.append(f"{name}: the servo reports {text} (bit {bit:#04x})")
             if abs(m.position) > limit.angle + limit.overshoot and self.state in (State.ACTIVE, State.HOLDING):
-                found.append(
+                violations.append(
                     f"{name}: {degrees(m.position):.1f} deg passed the limit of {degrees(limit.angle):.1f} deg"
                 )
             if m.speed is not None and self._lasts(f"{name} speed", abs(m.speed) > limit.speed, SPEEDING_SAMPLES):
-                found.append(
+                violations.append(
                     f"{name}: {degrees(m.speed):.0f} deg/s passed the limit of {degrees(limit.speed):.0f} deg/s"
                 )
             if m.temperature is not None and m.temperature > limit.temperature:
-                found.append(f"{name}: {m.temperature:.0f} degC passed the limit of {limit.temperature:.0f} degC")
+                violations.append(f"{name}: {m.temperature:.0f} degC passed the limit of {limit.temperature:.0f} degC")
             low, high = limit.voltage
             if m.voltage is not None and self._lasts(f"{name} volts", not low <= m.voltage <= high, VOLTAGE_SAMPLES):
-                found.append(f"{name}: {m.voltage:.1f} V is outside {low:g} to {high:g} V")
-        return found
+                violations.append(f"{name}: {m.voltage:.1f} V is outside {low:g} to {high:g} V")
+        return violations
 
     def _lasts(self, what: str, bad: bool, samples: int) -> bool:
         """Whether something has been bad for so many samples in a row."""

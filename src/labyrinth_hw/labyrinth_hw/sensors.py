@@ -148,7 +148,8 @@ class Slope:
 
 
 class SensorLine:
-    """The microcontroller on its serial port: ask first, collect later, so that the answer travels meanwhile.
+    """The microcontroller on its serial port: request first, collect later, so that the answer can travel in the
+    meantime.
 
     Args:
         path: serial device.

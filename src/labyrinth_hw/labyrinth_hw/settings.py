@@ -226,7 +226,7 @@ class HardwareConfig:
     holes: tuple[tuple[float, float], ...]
 
     def nearest_hole(self, place: tuple[float, float] | None) -> int:
-        """Number of the hole beside a place (m), -1 where none is near or the place is unknown."""
+        """Number of the hole nearest to a place (m), -1 if none is near or the place is unknown."""
         if place is None or not self.holes:
             return -1
         away = [hypot(x - place[0], y - place[1]) for x, y in self.holes]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A path of joint angles through points in time, as trajectory_msgs/JointTrajectory tells it."""
+"""A path of joint angles through points in time, as in trajectory_msgs/JointTrajectory."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

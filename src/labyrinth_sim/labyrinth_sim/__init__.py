@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs, models, effects and their simulation with MuJoCo; knows nothing of ROS outside `nodes/`."""
+"""Rigs, models, effects and their simulation with MuJoCo; independent of ROS outside `nodes/`."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MJCF and URDF files: parsed and compiled, with MuJoCo's reason where that fails."""
+"""MJCF and URDF files: parsed and compiled, with MuJoCo's reason if that fails."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -26,7 +26,7 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
 
 
 def slide_joints(source: Path) -> frozenset[str]:
-    """Names of the joints of a file that slide, in m and N. Raises InputError where it cannot be parsed."""
+    """Names of the joints of a file that slide, in m and N. Raises InputError if it cannot be parsed."""
     return _slide_joints(source, source.stat().st_mtime_ns)
 
 

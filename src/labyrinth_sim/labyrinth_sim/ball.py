@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ball on the labyrinth: where it is, whether and in which hole it was lost, how it is supplied again.
+"""The ball on the labyrinth: where it is, whether and in which hole it was lost, and how it is put back.
 
 Everything works on plain arrays with any leading shape, so that one simulation (`data.qpos`) and a batch (`batch.qpos`)
 are served alike.
@@ -20,7 +20,7 @@ OVER_THE_RIM = 0
 
 @dataclass(frozen=True)
 class BallGame:
-    """What a compiled labyrinth model says of ball and board. Lengths in m, the board frame has its origin at the lower
+    """Ball and board of a compiled labyrinth model. Lengths in m, the board frame has its origin at the lower
     left corner of the inner board, on the floor.
 
     Attributes:

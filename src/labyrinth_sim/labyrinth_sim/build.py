@@ -43,13 +43,13 @@ class Placed:
 
 
 def local_values(values: Values, prefix: str) -> dict[str, Array]:
-    """Of values by full name those under a prefix, as `backlash.x.`, by the rest of their names."""
+    """From values by full name, those with a prefix such as `backlash.x.`, by the rest of their names."""
     return {name.removeprefix(prefix): numbers for name, numbers in values.items() if name.startswith(prefix)}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All of a model but its values: what is compiled once and shared by every parameter set."""
+    """A model without its values: compiled once and shared by every parameter set."""
 
     mj: mujoco.MjModel
     drives: tuple[tuple[Drive, str, Site], ...]
@@ -65,7 +65,7 @@ def compiled(model: Model, with_ball: bool, timestep: float | None = None) -> Pl
     """Compiles a model's structure.
 
     Args:
-        with_ball: False uses the rig's MJCF without the ball where there is one.
+        with_ball: False uses the rig's MJCF without the ball if there is one.
         timestep: s; the MJCF's own if None.
 
     Raises:
@@ -83,7 +83,7 @@ def compiled(model: Model, with_ball: bool, timestep: float | None = None) -> Pl
 
 
 def coupled_axes(model: Model) -> list[tuple[str, ...]]:
-    """The axes, together those that feel the inertia of one another beyond a share COUPLED, as in an arm."""
+    """The axes, grouped by coupling of their inertia above COUPLED, as in an arm."""
     plan = compiled(model, with_ball=False)
     mj, data = plan.mj, mujoco.MjData(plan.mj)
     own = [{site.dof, site.load_dof} for _, _, site in plan.drives]
@@ -102,7 +102,7 @@ def coupled_axes(model: Model) -> list[tuple[str, ...]]:
 
 
 def axes_couple(model: Model) -> bool:
-    """Whether any axis feels the inertia of another one."""
+    """Whether any axes are coupled by inertia."""
     return any(len(group) > 1 for group in coupled_axes(model))
 
 
@@ -171,7 +171,7 @@ def _plan(
 
 
 def _idle(mj: mujoco.MjModel) -> int:
-    """Flags of the stages that no roll-out needs; they are a third of a step of a rig without its ball."""
+    """Flags of the stages that no roll-out needs; they take a third of the time of a step without the ball."""
     flags = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)  # roll-outs measure joints by themselves
     touching = mj.geom_contype[:, None] & mj.geom_conaffinity[None, :]
     if not touching.any() and mj.npair == 0:

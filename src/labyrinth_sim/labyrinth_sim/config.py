@@ -19,11 +19,11 @@ def folders(kind: str) -> tuple[Path, ...]:
     Args:
         kind: name of a folder under config: "rigs", "models", "mjcf", "sequences", ...
     """
-    found: dict[Path, None] = {}
+    existing: dict[Path, None] = {}
     for folder in _candidates(kind):
         if folder.is_dir():
-            found.setdefault(folder.resolve())
-    return tuple(found)
+            existing.setdefault(folder.resolve())
+    return tuple(existing)
 
 
 def _candidates(kind: str) -> Iterator[Path]:

@@ -28,7 +28,7 @@ def knots(unit: str, low: float, high: float, typical: Array, why: str) -> tuple
 
 
 def bounds_of_range(name: str, unit: str, low: float, high: float, typical: float) -> Parameter:
-    """One number of the range that the table covers; stated by whoever adds the curve and never fitted."""
+    """One number of the range that the table covers; stated when the curve is added, and never fitted."""
     return Parameter(name, unit, low, high, None, typical, "the range that the recordings visit", fitted=False)
 
 

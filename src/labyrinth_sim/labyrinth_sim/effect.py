@@ -40,7 +40,7 @@ FOLDER_VARIABLE = "EPS_TUNNEL_EFFECTS"
 
 @dataclass(frozen=True)
 class Size:
-    """How large an axis is beside the toy servo that bounds are declared for.
+    """How large an axis is relative to the toy servo that bounds are declared for.
 
     Attributes:
         slides: m for rad, N for N m.
@@ -182,7 +182,7 @@ class Effect:
         mark: what it looks like in the data.
         shows: the mark of `labyrinth_sim.marks` that explains most of what it changes.
         confused_with: effects whose data can look the same.
-        separated_by: the experiment that tells them apart.
+        separated_by: the experiment that distinguishes them.
         where: what it acts on: each axis, each measured position, or the ball.
         needs: "belt", "other_axis", "hinge", "ball"; what the rig must have beyond `where`.
         couples: whether what it does to its axis depends on how the other axes move.
@@ -272,9 +272,9 @@ class Drive:
         by_duty: whether it sets the motor's duty, so that less voltage means less of everything; else it regulates the
             torque, and less voltage means less at most.
         full: N m or N that it gives at most at rest, by its values; None where it is not known.
-        free: parameters that a calibration fits unless told otherwise, `joint.armature` being the shaft's; empty for
+        free: parameters that a calibration fits by default, `joint.armature` being the shaft's; empty for
             all.
-        told_by_effort: free as well where no effort of the axis is compared, which would tell them.
+        told_by_effort: free as well where no effort of the axis is compared, which would determine them.
         uncertain: those that data sheets give roughly, if at all; a diagnosis refits them along with the free ones.
         loose: free ones of which what is stated gives the order of magnitude; a diagnosis holds them loosely.
     """
@@ -344,18 +344,18 @@ def named(kind: str, name: str, library: Mapping[str, Any]) -> Any:
 def _library(
     package: str, symbol: str, kind: "type[Effect] | type[Drive]", folder: Path | str | None
 ) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    declared: dict[str, Any] = {}
     complaints: list[str] = []
     for where, item in _declared(package, symbol, folder, complaints):
         if not isinstance(item, kind):
             complaints.append(f"{where}: expected {symbol} = {kind.__name__}(...), got {type(item).__name__}.")
-        elif item.name in found and found[item.name] is not item:
+        elif item.name in declared and declared[item.name] is not item:
             complaints.append(f"{where}: the name '{item.name}' is taken; choose another.")
         else:
-            found[item.name] = item
+            declared[item.name] = item
     if complaints:
         raise InputError(complaints)
-    return dict(sorted(found.items()))
+    return dict(sorted(declared.items()))
 
 
 def _declared(

@@ -26,17 +26,17 @@ Made by `python -m labyrinth_sim.effects_page` from the declarations in `labyrin
 `labyrinth_sim/drives`; do not edit. At its *off* value an effect changes no bit of a simulation. In the pictures the
 dashed line is the command (half a triangle, a step, then rest while the other axis swings; for the ball: level for 1 s,
 then tilted by 0.012 rad), grey the model without the effect, red the model with it, at the value in the title; below is
-the difference between the two, on a scale of its own.
+the difference between the two, on its own scale.
 
-Units and bounds are those of a servo that turns with up to 10 N m. For a stronger axis, and for one that slides (N for
-N m, m for rad), they follow from its drive's full force and its limits; a value that grows with the axis may be stated
-far beyond them.
+Units and bounds are for a servo with up to 10 N m. For a stronger axis, and for one that slides (N instead of
+N m, m instead of rad), they follow from its drive's full force and its limits; a value that scales with the axis may be
+stated far beyond them.
 
-Free curves (`curve_...`) are tables over one variable, for what has no name yet. They are no candidates of a diagnosis
-unless asked for, and the range of a table is stated, not fitted.
+Free curves (`curve_...`) are tables over one variable, for effects that have no name yet. A diagnosis considers them
+only on request, and the range of a table is stated, not fitted.
 
-To add one of your own, write a file that declares `EFFECT = Effect(...)` as those in `labyrinth_sim/effects` do, and
-name its folder by `--effects DIR` or `$EPS_TUNNEL_EFFECTS`, or declare an entry point of the group
+To add your own effect, write a file that declares `EFFECT = Effect(...)` like those in `labyrinth_sim/effects`, and
+give its folder by `--effects DIR` or `$EPS_TUNNEL_EFFECTS`, or declare an entry point of the group
 `labyrinth_sim.effects`.
 """
 
@@ -62,7 +62,7 @@ def _section(effect: Effect) -> Iterator[str]:
     mark = (MARKS[effect.shows].__doc__ or "").strip()
     yield f"**In the data.** {effect.mark} Its measure: {mark[0].lower()}{mark[1:]}\n"
     yield f"![with and without](effects/{effect.name}.svg)\n"
-    yield f"**Mistaken for** {others}. **Told apart:** {effect.separated_by}\n"
+    yield f"**Mistaken for** {others}. **Distinguished by:** {effect.separated_by}\n"
 
 
 def _parameters(parameters: Sequence[Parameter]) -> str:
@@ -109,7 +109,7 @@ def picture(effect: Effect) -> str:
         if ball
         else [(scale * commands[:, 0], DASHED), (without, GREY), (with_it, RED)]
     )
-    below = f"with less without [{unit}]"
+    below = f"with minus without [{unit}]"
     return _svg([(title, curves, 110), (below, [(with_it - without, RED)], 45)], time)
 
 

@@ -14,7 +14,7 @@ LONGEST_NAME = 200  # characters of an unknown name that are shown
 
 
 class InputError(ValueError):
-    """All that is wrong with one input.
+    """All errors in one input.
 
     Args:
         complaints: one sentence each: what came, what was expected, what to try.
@@ -26,7 +26,7 @@ class InputError(ValueError):
 
 
 class Complaints:
-    """Gathers what is wrong with several inputs, so that all of it is said at once."""
+    """Collects the errors of several inputs, so that all are reported at once."""
 
     def __init__(self) -> None:
         self._found: list[str] = []

@@ -85,7 +85,7 @@ class Lag:
                 last = np.nan_to_num(out[k])
             else:
                 out[k] = last
-        self._past, self._last = stream[:, -2:].copy(), last  # the caller may fill `own` anew
+        self._past, self._last = stream[:, -2:].copy(), last  # the caller may refill `own`
         return out.T
 
 

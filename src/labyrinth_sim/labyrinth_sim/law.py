@@ -85,7 +85,7 @@ def _kept() -> str:
             os.makedirs(path, mode=0o700, exist_ok=True)
         except OSError:
             continue
-        # What lies there is executed, so it must be nobody else's.
+        # What lies there is executed, so it must belong to this user.
         if os.access(path, os.W_OK) and (not hasattr(os, "getuid") or os.stat(path).st_uid == os.getuid()):
             return path
     return ""

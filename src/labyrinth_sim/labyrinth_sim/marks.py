@@ -74,14 +74,14 @@ def passing(pair: Pair) -> float:
 
 
 def stairs(pair: Pair) -> float:
-    """The signal stands still at times while it would move: the share of that time."""
+    """The signal stands still at times when it would otherwise move: share of that time."""
     fast, slow = (np.abs(np.diff(signal)) for signal in (pair.without, pair.with_it))
     moving = fast > 0.2 * fast[fast > 0].mean()
     return float((slow[moving] < 0.25 * fast[moving]).mean())
 
 
 def adrift(pair: Pair) -> float:
-    """The signal moves before the command does: the share of the way till then that is new."""
+    """The signal moves before the command does: share of that travel which is new."""
     moves = np.flatnonzero(np.diff(pair.command))
     first = int(moves[0]) + 1 if moves.size else len(pair.command)
     ways = [np.abs(np.diff(signal[:first])).sum() for signal in (pair.with_it, pair.without)]
@@ -94,13 +94,13 @@ def coupled(pair: Pair) -> float:
 
 
 def calmer(pair: Pair) -> float:
-    """The signal travels a shorter way: the share of the way that is gone."""
+    """The signal travels less: share of the travel that is gone."""
     ways = [np.abs(np.diff(signal)).sum() for signal in (pair.with_it, pair.without)]
     return float(np.clip(1.0 - ways[0] / ways[1], 0.0, 1.0))
 
 
 def livelier(pair: Pair) -> float:
-    """The signal travels a longer way: the share of the way that is new."""
+    """The signal travels more: share of the travel that is new."""
     ways = [np.abs(np.diff(signal)).sum() for signal in (pair.with_it, pair.without)]
     return float(np.clip(1.0 - ways[1] / ways[0], 0.0, 1.0))
 

@@ -83,7 +83,7 @@ class Model:
         description: for people.
         provenance: bags, date, held-out error and the like, as a calibration wrote them.
         path: of the file, None for a model that was never saved.
-        valid: where it was shown to hold; None where nobody has, and once its values or effects are others.
+        valid: range over which it was validated; None if it was not, and after its values or effects were changed.
         registry: the effects and drives that can be added.
     """
 

@@ -76,7 +76,7 @@ def effort_scales(rig: Rig, stated: Mapping[str, float]) -> Quantities:
     Args:
         stated: full name -> the model's value, about which bounds are set.
     """
-    found: dict[str, tuple[Parameter, float]] = {}
+    chosen: dict[str, tuple[Parameter, float]] = {}
     for measured in rig.measured:
         if not measured.recorded.free:
             continue
@@ -85,8 +85,8 @@ def effort_scales(rig: Rig, stated: Mapping[str, float]) -> Quantities:
         about = stated.get(name, 1.0)
         low, high = sorted((about / WITHIN, about * WITHIN))
         unit = slide_unit(unit) if measured.slides else unit
-        found[name] = (Parameter(word, unit, low, high, None, about, why, fixed="unit"), 1.0)
-    return MappingProxyType(found)
+        chosen[name] = (Parameter(word, unit, low, high, None, about, why, fixed="unit"), 1.0)
+    return MappingProxyType(chosen)
 
 
 def check_mjcf(rig: Rig) -> None:

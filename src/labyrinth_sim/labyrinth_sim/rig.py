@@ -174,7 +174,7 @@ class Rig:
 
     @property
     def position_unit(self) -> str:
-        """In which errors of the rig's positions are told: rad, or m where every axis slides."""
+        """Unit of errors of the rig's positions: rad, or m if every axis slides."""
         return "m" if all(axis.slides for axis in self.axes) else "rad"
 
     def axis(self, name: str) -> Axis:

@@ -25,7 +25,7 @@ def position_servo(spec: mujoco.MjSpec, site: Site) -> None:
 
 
 def limit_torque(servo: mujoco.MjsActuator) -> None:
-    """Lets an actuator take any target and limits its torque; `set_torque` tells to what."""
+    """Lets an actuator take any target and limits its torque; `set_torque` sets the limit."""
     servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
     servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     servo.forcerange = [-1.0, 1.0]
@@ -38,7 +38,7 @@ def set_torque(fields: Fields, site: Site, torque: Array) -> None:
 
 
 def limit_current(spec: mujoco.MjSpec, site: Site) -> None:
-    """Limits what both of the axis's actuators give together, as a limited current does; `set_current` tells to what.
+    """Limits what both of the axis's actuators give together, as a limited current does; `set_current` sets the limit.
 
     A motor that brakes has back-EMF on its side, and would give more than at rest.
     """
@@ -65,7 +65,7 @@ BACK_EMF = Parameter(
 
 
 def add_back_emf(spec: mujoco.MjSpec, site: Site) -> None:
-    """Gives the axis its second actuator; `set_back_emf` tells how strong."""
+    """Gives the axis its second actuator; `set_back_emf` sets its strength."""
     axis = site.the_axis
     emf = spec.add_actuator(
         name=f"{axis.actuator}_emf", target=axis.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, group=site.group

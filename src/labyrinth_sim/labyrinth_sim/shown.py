@@ -84,14 +84,14 @@ def _rows(value: object) -> Iterator[tuple[str, str]]:
 def _documented(cls: type[Any]) -> Mapping[str, str]:
     """Field -> the first words that the class's docstring has under "Attributes:"."""
     _, _, listed = (inspect.getdoc(cls) or "").partition("Attributes:")
-    found = {}
+    meanings = {}
     for names, text in re.findall(r"^ +([a-z]\w*(?:, \w+)*): +(.+)$", listed, flags=re.MULTILINE):
-        found.update(dict.fromkeys(names.split(", "), re.split(r"[;,.](?: |$)(?![^(]*\))", text)[0]))
-    return found
+        meanings.update(dict.fromkeys(names.split(", "), re.split(r"[;,.](?: |$)(?![^(]*\))", text)[0]))
+    return meanings
 
 
 def _array(values: NDArray[Any], about: str) -> str:
-    """Shape, what the docstring says of it besides (its unit), and range: "(5, 1201, 4) rad, -0.052 to 0.054"."""
+    """Shape, what else the docstring says about it (its unit), and range: "(5, 1201, 4) rad, -0.052 to 0.054"."""
     meaning = re.sub(r"^\([^)]*\) *", "", about)
     text = f"{values.shape} {meaning if len(meaning) <= ABOUT else ''}".rstrip()
     if not np.issubdtype(values.dtype, np.number) or not values.size:

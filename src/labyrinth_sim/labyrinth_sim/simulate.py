@@ -344,7 +344,7 @@ class Stepper:
         return self._samples * self.step
 
     def reset(self, initial: Mapping[str, float] | None = None, first_command: Array | None = None) -> Array:
-        """Starts anew.
+        """Starts again.
 
         Args:
             initial: signal -> value; 0 and the ball's start point where not given.
@@ -370,7 +370,7 @@ class Stepper:
         """Holds a command (u,) rad for one sample, NaN switching a drive off; returns the measurement (m,) after it.
 
         Raises:
-            InputError: the simulation diverged; `reset` starts anew.
+            InputError: the simulation diverged; `reset` starts it again.
         """
         target = through(self._commands, np.asarray(command, float)[None, None, :])[:, 0]
         self._engine.advance(target)
@@ -463,7 +463,7 @@ def through(chains: list[list[Filter]], block: Array) -> Array:
 
 
 def undone(plan: Plan, values: Values, given: Mapping[str, Array]) -> dict[str, Array]:
-    """Signal -> (nsim,): what was there, of what was seen, by the effects that can tell."""
+    """Signal -> (nsim,): what was there, from what was seen, by the effects that can invert it."""
     found = dict(given)
     for placed in reversed(plan.acting(values)):
         for signal, seen in found.items():

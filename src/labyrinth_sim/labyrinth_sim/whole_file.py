@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are whole or not there: written beside their place, and moved to it when everything is on the disk."""
+"""Files that are complete or absent: written next to their final place, and moved there when everything is on the
+disk."""
 
 import os
 import tempfile
@@ -39,7 +40,7 @@ def write_new(file: Path, text: str, by: str = "--out") -> None:
 
 @contextmanager
 def beside(file: Path) -> Iterator[Path]:
-    """An empty file beside another, of the same kind, to be filled and moved there; gone afterwards in any case."""
+    """An empty file of the same kind next to another, to be filled and moved there; removed afterwards in any case."""
     handle, name = tempfile.mkstemp(prefix=f".{file.name[:100]}.", suffix=file.suffix[:20], dir=file.parent)
     os.close(handle)
     partial = Path(name)
@@ -65,7 +66,7 @@ def folder_of(file: Path) -> Iterator[Path]:
         for folder in missing:
             try:
                 folder.rmdir()
-            except OSError:  # never made, or somebody uses it
+            except OSError:  # never made, or in use
                 break
         raise
 

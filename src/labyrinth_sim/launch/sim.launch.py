@@ -16,7 +16,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("model", default_value="labyrinth", description="Name or path of a model."),
             DeclareLaunchArgument("real_time_factor", default_value="1.0", description="Simulated over real seconds."),
             DeclareLaunchArgument(
-                "publish_clock", default_value="false", description="Whether /clock is published at a factor of 1, too."
+                "publish_clock", default_value="false", description="Whether /clock is published even at a factor of 1."
             ),
             # The node configures itself (its parameter `autostart`), so that it does so without launch, too.
             LifecycleNode(

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Before anything is fitted: what recordings are like, and what they can tell."""
+"""Before anything is fitted: the quality of recordings, and what they can identify."""

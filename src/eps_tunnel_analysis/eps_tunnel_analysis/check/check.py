@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check of recordings against a model: its findings, and their words."""
+"""The check of recordings against a model: its findings, and their wording."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -13,13 +13,13 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 
 ANSWERS: tuple[Answer, ...] = ("identifiable", "weak", "no")
-MENDED = 6  # effects whose mending is told in words; the JSON has all
+MENDED = 6  # effects for which the text says what to play; the JSON has all
 
 
 @shown
 @dataclass(frozen=True)
 class Check:
-    """What recordings are like (`data`) and what they can tell (`excited`); `notes` from reading them."""
+    """Quality of recordings (`data`) and what they can identify (`excited`); `notes` from reading them."""
 
     data: tuple[Finding, ...]
     excited: tuple[Excited, ...]
@@ -38,14 +38,14 @@ class Check:
 
     def lines(self) -> list[str]:
         """In words, the serious first."""
-        found = sentences(self.data)
-        found += [note for note in self.notes if note not in found]
+        lines = sentences(self.data)
+        lines += [note for note in self.notes if note not in lines]
         for axis in dict.fromkeys(one.axis for one in self.excited):
-            found += self._told(axis, "value", "Values")
-            found += self._told(axis, "effect", "Effects")
-        return found + self._mends()
+            lines += self._summary(axis, "value", "Values")
+            lines += self._summary(axis, "effect", "Effects")
+        return lines + self._mends()
 
-    def _told(self, axis: str, kind: str, noun: str) -> list[str]:
+    def _summary(self, axis: str, kind: str, noun: str) -> list[str]:
         own = [one for one in self.excited if one.axis == axis and one.kind == kind]
         said = []
         for answer in ANSWERS:
@@ -54,25 +54,25 @@ class Check:
         return [f"{noun} of axis {axis} that these commands excite. {'; '.join(said)}."] if said else []
 
     def _mends(self) -> list[str]:
-        """What to play: for all values of an axis at once, for the effects that show but are taken for others."""
-        found: dict[str, list[str]] = {}
+        """What to play: for all values of an axis at once, for the effects that show but are confused with others."""
+        by_mend: dict[str, list[str]] = {}
         for one in self.excited:
             if one.kind == "value" and one.mend:
-                found.setdefault(f"axis {one.axis}: {one.mend}", []).append(one.name)
-        lines = [f"To find {', '.join(names)}, {mend.partition(': ')[2]}." for mend, names in found.items()]
+                by_mend.setdefault(f"axis {one.axis}: {one.mend}", []).append(one.name)
+        lines = [f"To identify {', '.join(names)}, {mend.partition(': ')[2]}." for mend, names in by_mend.items()]
         alike = {
             tuple(sorted((one.name, *one.confounded))) for one in self.excited if one.kind == "value" and one.confounded
         }
         lines += [
-            f"These stand in for one another, so state one of them: {', '.join(names)}." for names in sorted(alike)
+            f"These can compensate for one another, so fix one of them: {', '.join(names)}." for names in sorted(alike)
         ]
         weak = [one for one in self.excited if one.kind == "effect" and one.answer == "weak" and one.confounded]
-        lines += [f"To tell {one.name}: {one.mend}" for one in sorted(weak, key=lambda one: -one.figure)[:MENDED]]
+        lines += [f"To identify {one.name}: {one.mend}" for one in sorted(weak, key=lambda one: -one.figure)[:MENDED]]
         return lines
 
 
 def _name(one: Excited) -> str:
-    like = f" (not told from {', '.join(one.confounded)})" if one.confounded else ""
+    like = f" (not distinguishable from {', '.join(one.confounded)})" if one.confounded else ""
     if one.kind == "value" and one.answer != "no":
         return f"{one.name} ± {shown_number(one.figure, 2)} {one.unit}".removesuffix(" 1") + like
     return one.name + like

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What recordings are like: rates, jitter, gaps, clipped and stuck signals, limits, efforts, repeats."""
+"""Quality of recordings: rates, jitter, gaps, clipped and stuck signals, limits, efforts, repeatability."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ NO_JITTER = 1e-6  # s of jitter that is none
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing about the recordings.
+    """One finding about the recordings.
 
     Attributes:
         about: a signal, a command channel, a recording, or "".
@@ -48,27 +48,27 @@ def check_data(model: Model | None, plays: Sequence[Play], efforts: bool = True)
     """Everything about the recordings themselves.
 
     Args:
-        model: tells limits, units and what its drives can give; without one timing and repeats are left.
+        model: has limits, units and what its drives can give; without one, only timing and repeats are checked.
         efforts: whether efforts were to be read.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if model is None:
         trials = [trial for play in plays for trial in play.at_stamps]
         for name in trials[0].commands:
-            found += _timing(f"command {name}", [trial.commands[name] for trial in trials], commands=True)
+            findings += _timing(f"command {name}", [trial.commands[name] for trial in trials], commands=True)
         for name in trials[0].signals:
-            found += _timing(name, [trial.signals[name] for trial in trials])
-        return (*found, *_repeats(plays))
+            findings += _timing(name, [trial.signals[name] for trial in trials])
+        return (*findings, *_repeats(plays))
     unread = ("position", "torque") if efforts else ("position",)  # velocities are never compared
     for axis in model.rig.axes:
-        found += _commands(axis, plays)
+        findings += _commands(axis, plays)
         for measured in axis.measured:
             if all(measured.signal in play.trials.signals for play in plays):
-                found += _signal(model, axis, measured, plays)
+                findings += _signal(model, axis, measured, plays)
             elif measured.quantity in unread:
-                found.append(Finding(measured.signal, False, f"{measured.signal} was not read or not recorded."))
-    found += _repeats(plays)
-    return tuple(found)
+                findings.append(Finding(measured.signal, False, f"{measured.signal} was not read or not recorded."))
+    findings += _repeats(plays)
+    return tuple(findings)
 
 
 def sentences(findings: Sequence[Finding]) -> list[str]:
@@ -85,9 +85,11 @@ def _commands(axis: Axis, plays: Sequence[Play]) -> Iterator[Finding]:
     sent = values[np.isfinite(values)]
     unit = axis.recorded.si
     if off > 0.0:
-        yield Finding(axis.command, False, f"Drive {axis.name} is switched off for a part of the recordings.")
+        yield Finding(axis.command, False, f"Drive {axis.name} is switched off for part of the recordings.")
     if not len(sent):
-        yield Finding(axis.command, True, f"Command {axis.command} holds no number; nothing moves axis {axis.name}.")
+        yield Finding(
+            axis.command, True, f"Command {axis.command} contains no numbers; nothing moves axis {axis.name}."
+        )
         return
     low, high = float(sent.min()), float(sent.max())
     if low < axis.limits[0] or high > axis.limits[1]:
@@ -148,8 +150,8 @@ def _timing(name: str, series: Sequence[Series], commands: bool = False) -> Iter
         words += f", {len(gaps)} gaps up to {shown_number(gaps.max())} s"
     ragged = jitter > UNEVEN * period
     uneven = ragged or (len(gaps) > 0 and not commands)
-    advice = " Uneven timing within trials is no effect of the rig; tell it by --timing-ms." if ragged else ""
-    advice += " What lies in a gap counts as unseen." if len(gaps) and not commands else ""
+    advice = " Uneven timing within trials is not an effect of the rig; state it by --timing-ms." if ragged else ""
+    advice += " Samples in a gap count as unseen." if len(gaps) and not commands else ""
     yield Finding(name, uneven, f"{words}.{advice}")
 
 
@@ -218,9 +220,9 @@ def _effort(model: Model, axis: Axis, measured: Measured, values: Array) -> Iter
     if recorded.free:
         yield Finding(
             name, False,
-            f"{name} is recorded in {recorded.name}; what one of it stands for is not stated and is fitted. State "
-            f"'{'torque_constant' if recorded.si == 'A' else 'stall_torque'}' in the rig file where you know it."
-            if recorded.name != "raw" else f"{name} is recorded in a unit of its own; its factor is fitted.",
+            f"{name} is recorded in {recorded.name}; the factor to a torque is not stated and is fitted. State "
+            f"'{'torque_constant' if recorded.si == 'A' else 'stall_torque'}' in the rig file if you know it."
+            if recorded.name != "raw" else f"{name} is recorded in an unknown unit; its factor is fitted.",
         )  # fmt: skip
         return
     kind = model.drives[axis.name].kind
@@ -231,32 +233,32 @@ def _effort(model: Model, axis: Axis, measured: Measured, values: Array) -> Iter
         yield Finding(
             name, True,
             f"{name} reaches {shown_number(most)} {measured.unit}, but the drive gives {shown_number(full)} at most. "
-            "If it is a current, a duty or counts, write 'unit: A', 'duty' or 'raw' beside it in the rig file.",
+            "If it is a current, a duty or counts, write 'unit: A', 'duty' or 'raw' next to it in the rig file.",
         )  # fmt: skip
     elif full > 0.0 and recorded.scale == 1.0 and 0.95 <= most <= 1.0 and full > TOO_STRONG:
         yield Finding(
             name, True,
             f"{name} never exceeds 1, though the drive can give {shown_number(full)} {measured.unit}: is it a duty? "
-            "Then write 'unit: duty' beside it in the rig file.",
+            "Then write 'unit: duty' next to it in the rig file.",
         )  # fmt: skip
 
 
 def _repeats(plays: Sequence[Play]) -> Iterator[Finding]:
     counts = [play.trials.count for play in plays]
     words = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else str(counts[0])
-    told = f"{len(plays)} command{'s' * (len(plays) > 1)}, {words} trial{'s' * (max(counts) > 1)} of each."
+    recorded = f"{len(plays)} command{'s' * (len(plays) > 1)}, {words} trial{'s' * (max(counts) > 1)} of each."
     if min(counts) == 1:
         advice = (
-            " With one trial what the rig repeats is unknown: tunnels have no width, alikeness means nothing, and "
-            "whether something unknown is left cannot be said. Record five trials of each command."
+            " With one trial the rig's repeatability is unknown: tunnels have no width, alikeness means nothing, and "
+            "it cannot be said whether something unknown is left. Record five trials of each command."
         )
     elif min(counts) < FEW:
         advice = f" With fewer than {FEW} trials the tunnel's width is rough; record {FEW} or more."
     else:
         advice = ""
-    yield Finding("", min(counts) == 1, told + advice)
+    yield Finding("", min(counts) == 1, recorded + advice)
     if len(plays) < 2:
         yield Finding(
-            "", False, "One command only: the held-out error is that of stretches of time. Record a second command and "
-            "name it by --held-out."
+            "", False, "Only one command: the held-out error is that of stretches of time. Record a second command and "
+            "give it by --held-out."
         )  # fmt: skip

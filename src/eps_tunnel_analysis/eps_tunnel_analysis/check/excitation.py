@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What recorded commands excite: which values and which effects they can tell, from one batch of roll-outs.
+"""What recorded commands excite: which values and which effects they can identify, from one batch of roll-outs.
 
-An effect is tried at its typical strength. What it changes, in units of the noise floor, less what the free values can
-take up (the part of it in the span of their slopes), is what is seen of it; less what another effect can take up too,
-what tells it from that one.
+An effect is tried at its typical strength. The change that it causes, in units of the noise floor, minus the part that
+the free values can absorb (in the span of their slopes), is what is seen of it. Minus what another effect can absorb,
+it is what distinguishes it from that one.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,13 +31,13 @@ DELAY_SHARE = 0.6  # share of a delay's bounds by which it is moved: as far as a
 VISIBLE = 3.0  # floors, of an effect that is seen without doubt
 PRECISE, WEAK = 0.2, 1.0  # 95 % interval over the value itself, up to which it is identifiable, weak
 LEAST_SIZE = 0.05  # share of the bounds' span that a value near 0 is weighed against
-INSEPARABLE = 0.97  # correlation of two values' errors from which they cannot be told apart
-SAME_EFFECT = 0.999  # share that two values' effects have in common, from which they are one: a mass and an armature
+INSEPARABLE = 0.97  # correlation of two values' errors from which they cannot be separated
+SAME_EFFECT = 0.999  # share of two values' effects in common, from which they are one: a mass and an armature
 
 
 @dataclass(frozen=True)
 class Excited:
-    """What is told of one value or effect.
+    """The result for one value or effect.
 
     Attributes:
         name: full parameter name, or effect.place.
@@ -45,10 +45,10 @@ class Excited:
         kind: "value" or "effect".
         answer: identifiable, weak or no.
         figure: of a value the 95 % half-width to expect, in its unit; of an effect the mean square in floors that the
-            values cannot take up.
+            values cannot absorb.
         unit: of the figure; "floors" for an effect.
-        confounded: what it cannot be told from by these commands.
-        mend: what to play, "" where nothing is to be mended.
+        confounded: what it cannot be distinguished from by these commands.
+        mend: what to play, "" where nothing needs to be improved.
     """
 
     name: str
@@ -68,11 +68,11 @@ def excitation(
     nthread: int = 0,
     progress: Callable[[str, int], None] | None = None,
 ) -> tuple[Excited, ...]:
-    """What the plays' commands can tell of each free value and of each effect that the model does not have.
+    """What the plays' commands can identify of each free value and of each effect that the model does not have.
 
     Args:
         only: names of effects to try; all by default.
-        progress: told how many roll-outs are made.
+        progress: called with the number of roll-outs made.
     """
     chosen = _some([without_ball(play) for play in plays])
     parts = axis_parts(model, chosen)
@@ -95,12 +95,12 @@ def excitation(
     seen = evidence(np.array(rows))
     changes = np.nan_to_num((seen[1:] - seen[0]) / evidence.floor)
     slopes, strengths = changes[: len(base)], changes[len(base) :]
-    found = list(_values(base, slopes, infos, parts, model, chosen))
-    return (*found, *_effects(lib.candidates, strengths, slopes, evidence, parts))
+    excited = list(_values(base, slopes, infos, parts, model, chosen))
+    return (*excited, *_effects(lib.candidates, strengths, slopes, evidence, parts))
 
 
 def _some(plays: Sequence[Play]) -> list[Play]:
-    """Plays up to a length in all, the first in any case."""
+    """Plays up to a total length, at least the first."""
     kept: list[Play] = []
     for play in plays:
         if kept and sum(p.trials.time[-1] for p in (*kept, play)) > MOST_SECONDS:
@@ -116,7 +116,7 @@ def _moved(start: Array, index: int, info: ParameterInfo) -> Array:
 
 
 def _step(info: ParameterInfo) -> float:
-    """By how much a value is moved, in its unit; a delay as far as one that is typical of what is missing."""
+    """By how much a value is varied, in its unit; a delay by a delay that is typical of a missing effect."""
     if info.unit == "s":
         return DELAY_SHARE * info.span
     return SLOPE * (abs(info.value) or LEAST_SIZE * info.span)
@@ -133,7 +133,7 @@ def _values(
     base: Sequence[str], slopes: Array, infos: dict[str, ParameterInfo], parts: Sequence[AxisPart], model: Model,
     plays: Sequence[Play],
 ) -> list[Excited]:  # fmt: skip
-    found = []
+    excited = []
     for part in parts:
         own = [i for i, name in enumerate(base) if name in part.base]
         if not own:
@@ -159,12 +159,12 @@ def _values(
             alike = [base[own[j]] for j in others if abs(correlation[k, j]) > INSEPARABLE or base[own[j]] in same]
             alike = alike if answer != "identifiable" else []
             mend = "" if answer == "identifiable" else livelier(part.name, model, plays)
-            found.append(Excited(info.name, part.name, "value", answer, half, info.unit, tuple(alike), mend))
-    return found
+            excited.append(Excited(info.name, part.name, "value", answer, half, info.unit, tuple(alike), mend))
+    return excited
 
 
 def livelier(axis: str, model: Model, plays: Sequence[Play]) -> str:
-    """What a command lacks that would excite more of an axis."""
+    """What to add to a command so that it excites more of an axis."""
     own = model.rig.axis(axis)
     spans, starts, rests = [], [], []
     for play in plays:
@@ -186,14 +186,14 @@ def livelier(axis: str, model: Model, plays: Sequence[Play]) -> str:
     if max(rests) < 0.05:
         missing.append("rests of half a second")
     if len(plays) < 2:
-        missing.append("slow triangles beside fast sines")
+        missing.append("slow triangles in addition to fast sines")
     return f"play {', '.join(missing)}" if missing else "play faster reversals, and another load or start"
 
 
 def _effects(
     candidates: Sequence[Candidate], strengths: Array, slopes: Array, evidence: Evidence, parts: Sequence[AxisPart]
 ) -> list[Excited]:
-    found: list[Excited] = []
+    excited: list[Excited] = []
     rank = np.linalg.svd(slopes.T, full_matrices=False) if len(slopes) else None
     if rank is not None:
         left, sizes, _ = rank
@@ -218,5 +218,5 @@ def _effects(
             )
             answer: Answer = "no" if not visible else "weak" if confounded or seen < VISIBLE else "identifiable"
             mend = "" if answer == "identifiable" else candidates[i].effect.separated_by
-            found.append(Excited(candidates[i].name, part.name, "effect", answer, seen, "floors", confounded, mend))
-    return found
+            excited.append(Excited(candidates[i].name, part.name, "effect", answer, seen, "floors", confounded, mend))
+    return excited

@@ -27,13 +27,14 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """How bags are read, for `reading_of`."""
     reading = parser.add_argument_group("reading bags")
     reading.add_argument("--rig", metavar="R", help="rig that says what is measured on which topic: a name in "
-                         "config/rigs or a file (default: the model's rig, else all that the bags offer)")  # fmt: skip
-    reading.add_argument("--signals", nargs="+", metavar="SIGNAL", help="which to compare (default: every position)")
+                         "config/rigs or a file (default: the model's rig, or else all topics in the "
+                         "bags)")  # fmt: skip
+    reading.add_argument("--signals", nargs="+", metavar="SIGNAL", help="signals to compare (default: every position)")
     reading.add_argument("--time-source", choices=("header", "log"), default="header",
                          help="clock to trust: the stamp set where the value was measured, or the time at which it "
                          "was recorded (default: %(default)s)")  # fmt: skip
     reading.add_argument("--rate", type=within(0.1, 1e5, "Hz"), metavar="HZ",
-                         help="Hz, of the common grid (default: the rig's own, 100 without one)")  # fmt: skip
+                         help="rate of the common grid, Hz (default: the rig's, or 100 without a rig)")  # fmt: skip
     reading.add_argument("--max-gap", type=within(1e-4, 3600.0, "s"), default=0.1, metavar="S",
                          help="longest pause in seconds that is bridged by a straight line; samples in longer ones "
                          "count as unseen (default: %(default)g)")  # fmt: skip
@@ -47,10 +48,10 @@ def add_model_arguments(parser: argparse.ArgumentParser, group: Any = None) -> N
         "--model",
         metavar="M",
         required=group is None,
-        help="model to simulate: a name in config/models or a file; it is played with the recorded commands from the "
-        "recorded first pose",
+        help="model to simulate: a name in config/models or a file; it is simulated with the recorded commands from "
+        "the first recorded pose",
     )
-    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with effect files of your own")
+    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with your own effect files")
 
 
 def add_known_argument(parser: argparse.ArgumentParser) -> None:
@@ -60,8 +61,8 @@ def add_known_argument(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="PATTERN:NAME=VALUE",
         help="what was set differently in some bags: those whose path matches PATTERN were recorded with this value, "
-        "as '*kp_100*:drive.pendulum.kp=100'; a file known.yaml in or beside a bag says so for good, a line each as "
-        "'drive.pendulum.kp: 100'",
+        "for example '*kp_100*:drive.pendulum.kp=100'; a file known.yaml in or next to a bag states it permanently, "
+        "with lines such as 'drive.pendulum.kp: 100'",
     )
 
 
@@ -80,8 +81,8 @@ def add_known_arguments(parser: argparse.ArgumentParser) -> None:
         dest="timing",
         type=_milliseconds,
         metavar="MS",
-        help="uneven timing of commands or samples within trials that this rig is known to have; more counts as "
-        "something missing (default: 0.29 of a sample; beside nodes, which share a computer, 10)",
+        help="known uneven timing of commands or samples within trials; more than this counts as something missing "
+        "(default: 0.29 of a sample; 10 with nodes, which share a computer)",
     )
     add_held_out_argument(parser)
 
@@ -89,8 +90,8 @@ def add_known_arguments(parser: argparse.ArgumentParser) -> None:
 def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
     """--known, --timing-ms, --held-out, --seed, --threads, --progress."""
     add_known_arguments(parser)
-    parser.add_argument("--seed", type=int, default=0, help="kept with the result (default: %(default)s)")
-    add_threads_argument(parser, ", beside nodes all but one")
+    parser.add_argument("--seed", type=int, default=0, help="recorded with the result (default: %(default)s)")
+    add_threads_argument(parser, ", with nodes all but one")
     parser.add_argument("--progress", choices=("bar", "lines"), default="bar",
                         help="on stderr: a bar, or lines of JSON for programs (default: %(default)s)")  # fmt: skip
 
@@ -98,12 +99,16 @@ def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
 def add_threads_argument(parser: Any, but: str = "") -> None:
     """--threads, of a parser or a group; 0 for all. `but` says what else the default depends on."""
     parser.add_argument(
-        "--threads", type=_threads, default=0, metavar="N", help=f"of this machine, 0 for all (default: all{but})"
+        "--threads",
+        type=_threads,
+        default=0,
+        metavar="N",
+        help=f"threads on this machine, 0 for all (default: all{but})",
     )
 
 
 def reading_of(arguments: argparse.Namespace) -> "Reading":
-    """How the arguments of `add_reading_arguments` want bags read."""
+    """How to read bags, from the arguments of `add_reading_arguments`."""
     from eps_tunnel_analysis.inputs import Reading
 
     signals = None if arguments.signals is None else tuple(arguments.signals)
@@ -113,7 +118,7 @@ def reading_of(arguments: argparse.Namespace) -> "Reading":
 
 
 def diagnosis_options(arguments: argparse.Namespace, timing: float = 0.0, threads: int = 0) -> "DiagnosisOptions":
-    """What the arguments of a command that diagnoses say; `timing` (s) and `threads` hold where they say nothing."""
+    """Options from the arguments of a command that diagnoses; `timing` (s) and `threads` are defaults."""
     from eps_tunnel_analysis.loop.reason import DiagnosisOptions
 
     candidates = getattr(arguments, "candidates", None)
@@ -141,7 +146,7 @@ def factor(text: str) -> float:
 
 
 def within(low: float, high: float, unit: str) -> Callable[[str], float]:
-    """An argparse type: a number within bounds, which the message names with their unit."""
+    """An argparse type: a number within bounds; the error message names them with their unit."""
 
     def number(text: str) -> float:
         value = float(text)

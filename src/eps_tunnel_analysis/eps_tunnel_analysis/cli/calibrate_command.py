@@ -33,9 +33,10 @@ examples:
   eps-tunnel calibrate --real bags/* --model labyrinth --method es --signals motor_x motor_y --out es.yaml
   eps-tunnel calibrate --real bags/* --model mine.yaml --free 'backlash.*' drive.x.delay --hold-out 3 --out m2.yaml
 
-Trials of different commands may lie in one bag or in several: they are sorted by the sequence they play. A fifth of the
-commands (none of fewer than five) is held out of the fit and judged afterwards. Beside the model M2.yaml the whole
-result is written to M2.fit.json. Ctrl-C ends the fit and keeps the best so far; exit code 130 then."""
+Trials of different commands may be in one bag or in several: they are sorted by the sequence they play. A fifth of the
+commands (none if there are fewer than five) is held out of the fit and judged afterwards. In addition to the model
+M2.yaml, the complete result is written to M2.fit.json. Ctrl-C ends the fit and keeps the best so far, with exit
+code 130."""
 METHOD_NAMES = ("cma", "es", "gauss-newton")
 
 
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_known_argument(parser)
     add_held_out_argument(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="M2",
-                        help="model file to write; M2.fit.json beside it tells how it came about")  # fmt: skip
+                        help="model file to write; M2.fit.json, next to it, describes the fit")  # fmt: skip
     fit = parser.add_argument_group("fit")
     fit.add_argument("--method", choices=METHOD_NAMES, default="gauss-newton",
                      help="es: the paper's (5 + 100) evolution strategy; cma: CMA-ES with restarts; gauss-newton: "
@@ -62,16 +63,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit.add_argument("--hold-out", type=_amount, metavar="N",
                      help="commands to hold out: a number, or a share below 1 (default: 0.2, rounded down)"
                      )  # fmt: skip
-    fit.add_argument("--seed", type=int, default=0, help="of every random draw (default: %(default)s)")
-    fit.add_argument("--generations", type=at_least_one, metavar="N", help="of es (default: 150)")
+    fit.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default: %(default)s)")
+    fit.add_argument("--generations", type=at_least_one, metavar="N", help="generations of es (default: 150)")
     fit.add_argument(
-        "--budget", type=at_least_one, metavar="N", help="evaluations of each fit, at most, up to a batch more"
+        "--budget",
+        type=at_least_one,
+        metavar="N",
+        help="largest number of evaluations per fit; the last batch may exceed it",
     )
     work = parser.add_argument_group("work")
     work.add_argument("--checkpoint", type=Path, metavar="FILE",
-                      help="keeps every answer of the simulator; the same call with the same file goes on where it "
-                      "broke off, to the same result")  # fmt: skip
-    work.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do the simulating")
+                      help="keeps every result of the simulator; the same call with the same file resumes where it "
+                      "stopped, with the same result")  # fmt: skip
+    work.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers run the simulations")
     add_threads_argument(work)
     work.add_argument("--progress", choices=("bar", "lines", "none"), default="bar",
                       help="on stderr: a bar, one JSON object a line, or nothing (default: %(default)s)")  # fmt: skip
@@ -116,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print_calibration(calibration.result, calibration.notes)
         console().print(f"Model: {files[0]}\nResult: {files[1]}", soft_wrap=True)
-        print_next(console(), "Next: see what is left.", compare_with(recorded, arguments.real, str(files[0])))
+        print_next(console(), "Next: check the remaining error.", compare_with(recorded, arguments.real, str(files[0])))
     return INTERRUPTED if calibration.result.interrupted else 0
 
 

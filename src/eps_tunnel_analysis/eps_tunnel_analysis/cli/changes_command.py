@@ -29,16 +29,16 @@ examples:
   eps-tunnel changes --then march/real_* --now june/real_* --model rig.yaml --out wear
   eps-tunnel changes --then march/* --also april=april/* --also may=may/* --now june/* --model rig.yaml --out wear
 
-Play the same command on every date: then what the model misses on both is no change. The model's values are fitted to
-what was recorded then, unless --keep-values says that they are. Four outcomes: nothing beyond the rig's own spread,
-changed (what, by how much), undecided, unknown. Files in --out: changes.json, then.yaml (the model as fitted),
-dates.csv, dates.svg."""
+Play the same command on every date: an error that the model has on both dates then does not count as a change. The
+model's values are fitted to the earlier recordings unless --keep-values is given. Four outcomes: nothing beyond the
+rig's own spread, changed (what, by how much), undecided, unknown. Files in --out: changes.json, then.yaml (the model
+as fitted), dates.csv, dates.svg."""
 THEN, NOW = "then", "now"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--then", nargs="+", metavar="BAG", required=True, type=Path,
-                        help="recordings of the earlier date, of several trials")  # fmt: skip
+                        help="recordings of the earlier date, several trials")  # fmt: skip
     parser.add_argument("--now", nargs="+", metavar="BAG", required=True, type=Path,
                         help="recordings of the later date")  # fmt: skip
     parser.add_argument("--also", nargs="+", metavar="LABEL=BAG", action="append", default=[],
@@ -48,9 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_arguments(parser)
     add_known_argument(parser)
     parser.add_argument("--candidates", nargs="+", metavar="NAME",
-                        help="what can have changed: values as drive.x.p, effects as backlash (default: all)"
+                        help="what may have changed: values such as drive.x.p, effects such as backlash (default: all)"
                         )  # fmt: skip
-    parser.add_argument("--keep-values", action="store_true", help="the model's values are those of then already")
+    parser.add_argument("--keep-values", action="store_true",
+                        help="the model's values already fit the earlier recordings")  # fmt: skip
     add_threads_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write result, model and picture into a new folder")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, to stdout")
@@ -66,15 +67,15 @@ def run(arguments: argparse.Namespace) -> None:
     then, now = recorded[THEN], recorded[NOW]
     with rollout_progress() as progress:
         options = SearchOptions(None, arguments.threads, progress)
-        found = changes(then.model, then.plays, now.plays, arguments.candidates, arguments.keep_values, options)
-        watched = found.named if found.outcome in ("changed", "undecided") else ()
-        dates = over_dates(found.model, {label: r.plays for label, r in recorded.items()}, watched, run=options)
+        changed = changes(then.model, then.plays, now.plays, arguments.candidates, arguments.keep_values, options)
+        watched = changed.named if changed.outcome in ("changed", "undecided") else ()
+        dates = over_dates(changed.model, {label: r.plays for label, r in recorded.items()}, watched, run=options)
     content = {
         "command": NAME,
         "model": then.model.name,
         "sources": {label: [[str(path), digest] for path, digest in r.bags] for label, r in recorded.items()},
         "made": [list(fact) for fact in circumstances()],
-        **found.to_json(),
+        **changed.to_json(),
         "dates": [date.to_json() for date in dates],
     }
     if arguments.out:
@@ -82,7 +83,7 @@ def run(arguments: argparse.Namespace) -> None:
         from labyrinth_sim.model import save_model
 
         with new_folder(arguments.out) as folder:
-            save_model(found.model, folder / "then.yaml")
+            save_model(changed.model, folder / "then.yaml")
             (folder / "changes.json").write_text(json_text(content), encoding="utf-8")
             _write_csv(folder / "dates.csv", dates)
             save_svg(dates_picture(dates), folder / "dates.svg")
@@ -90,16 +91,16 @@ def run(arguments: argparse.Namespace) -> None:
         print(json_text(content), end="")
         return
     out = console()
-    out.print(found.sentence, style="bold", soft_wrap=True, markup=False)
-    for value in found.values:
+    out.print(changed.sentence, style="bold", soft_wrap=True, markup=False)
+    for value in changed.values:
         out.print(value.sentence, soft_wrap=True, markup=False)
-    rows = [(name, f"{p:.1%}", "*" if name in found.stated else "") for name, p in found.set.items() if p >= 0.001]
+    rows = [(name, f"{p:.1%}", "*" if name in changed.stated else "") for name, p in changed.set.items() if p >= 0.001]
     table(out, "Hypotheses", ("what changed", "probability", "in the stated set"), rows)
-    paired, plays = found.paired
+    paired, plays = changed.paired
     if paired < plays:
-        out.print(f"{plays - paired} of {plays} commands were not played on both dates; there a change must show "
-                  "against what the model misses anyway.", soft_wrap=True)  # fmt: skip
-    print_notes(out, (*then.notes, *now.notes, *found.notes))
+        out.print(f"{plays - paired} of {plays} commands were not played on both dates; for those, a change must stand "
+                  "out from the model's error.", soft_wrap=True)  # fmt: skip
+    print_notes(out, (*then.notes, *now.notes, *changed.notes))
     if arguments.out:
         out.print(f"Picture: {(arguments.out / 'dates.svg').resolve()}", soft_wrap=True)
 

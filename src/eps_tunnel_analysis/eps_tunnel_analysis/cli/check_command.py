@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""check: whether recordings can answer, before anything is fitted."""
+"""check: whether recordings are good enough, before anything is fitted."""
 
 import argparse
 
@@ -13,14 +13,14 @@ from eps_tunnel_analysis.outputs import json_text
 from eps_tunnel_analysis.terminal import console, print_next, rollout_progress
 
 NAME = "check"
-HELP = "Says what recordings are like and what they can tell, before anything is fitted."
+HELP = "Reports the quality of recordings and what they can identify, before anything is fitted."
 EPILOG = """\
 examples:
   eps-tunnel check --real bags/real_* --model labyrinth
   eps-tunnel check --real bags/real_* --model mine.yaml --candidates backlash coulomb_friction --json
 
-A value or an effect is identifiable, weak (seen, but hardly, or not to be told from another), or not excited at all;
-then it says what to play. A line that begins with ! should be seen to first."""
+A value or an effect is identifiable, weak (hardly visible, or not distinguishable from another), or not excited at all;
+then the report says what to play. Deal with the lines that begin with ! first."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -37,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for report and JSON")
     parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects to consider (default: all)")
     add_diagnosis_arguments(parser)
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do the simulating")
+    parser.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers run the simulations"
+    )
     parser.add_argument("--json", action="store_true", help="print diagnosis.json, and nothing else, to stdout")
 
 

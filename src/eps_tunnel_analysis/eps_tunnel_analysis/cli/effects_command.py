@@ -19,7 +19,7 @@ SHOWN = ("name", "title", "physics", "equation", "stage", "where", "mark", "conf
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="explain these effects (default: list all)")
-    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with effect files of your own")
+    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with your own effect files")
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, to stdout")
 
 
@@ -52,7 +52,7 @@ def _show(effect: "Effect") -> None:
         ("Equation", effect.equation),
         ("In the data", effect.mark),
         ("Mistaken for", ", ".join(effect.confused_with) or "nothing"),
-        ("Told apart by", effect.separated_by),
+        ("Distinguished by", effect.separated_by),
     ):
         out.print(f"  {label}: {text}", soft_wrap=True, markup=False)
     table(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""export: what was learned, in the user's own simulator."""
+"""export: a model for the user's own simulator."""
 
 import argparse
 from dataclasses import asdict
@@ -15,20 +15,20 @@ EPILOG = """\
 examples:
   eps-tunnel export --model better.yaml --mjcf better.xml
 
-The MJCF has all that MuJoCo can say: inertia, friction, springs, belts, actuators with their limits, and delays of
-whole samples where nothing else is left. What it cannot say (other delays, backlash without a belt, friction that
-depends on load) is in the module better_effects.py beside it, which needs numpy and mujoco only:
+The MJCF has everything that MuJoCo can express: inertia, friction, springs, belts, actuators with their limits, and
+delays of whole samples if nothing else remains. The rest (other delays, backlash without a belt, friction that
+depends on load) is in the module better_effects.py next to it, which needs only numpy and mujoco:
 Simulation(model, data).step(target) steps one sample. No module is written where none is needed; each actuator's
 control is then its axis's target."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="M", required=True, help="a name in config/models or a file")
-    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with effect files of your own")
+    parser.add_argument("--effects", metavar="DIR", type=Path, help="folder with your own effect files")
     parser.add_argument("--mjcf", metavar="FILE", type=Path, required=True, help="MJCF to write")
     parser.add_argument("--module", metavar="FILE", type=Path,
                         help="module to write where one is needed (default: FILE_effects.py)")  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print where each value went as JSON, and nothing else")
+    parser.add_argument("--json", action="store_true", help="print the place of each value as JSON, and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -53,5 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
     rows = [(p.name, p.where, p.how, f"{p.value:.5g}", p.unit) for p in exported.placements]
     table(console(), "Where each value went", ("value", "file", "by", "number", "unit"), rows, left=3)
     console().print(f"MJCF: {files['mjcf']}", soft_wrap=True)
-    told = f"Module: {files['module']}" if exported.module else "No module is needed: the controls are the targets."
-    console().print(told, soft_wrap=True)
+    module_note = (
+        f"Module: {files['module']}" if exported.module else "No module is needed: the controls are the targets."
+    )
+    console().print(module_note, soft_wrap=True)

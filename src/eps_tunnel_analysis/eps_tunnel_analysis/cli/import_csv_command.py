@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scale", type=factor, default=1.0, metavar="F",
                         help="factor from the table's angles and speeds to rad and rad/s, as of a sensor's ticks; on "
                         "top of --degrees")  # fmt: skip
-    parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="of the times (default: %(default)s)")
+    parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="unit of the times (default: %(default)s)")
     parser.add_argument("--namespace", metavar="NS", default="/real", help="/real or /sim (default: %(default)s)")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="the new bag; must not exist")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""improve: diagnose, add, diagnose again, until nothing more can be named; on recordings, or on a rig that plays."""
+"""improve: diagnose, add, diagnose again, until nothing more can be named; on recordings, or on a running rig."""
 
 import argparse
 import sys
@@ -18,14 +18,17 @@ from eps_tunnel_analysis.terminal import console, print_next, print_recordings, 
 from labyrinth_sim.errors import InputError
 
 NAME = "improve"
-HELP = "Adds what is missing, step by step, until the model is complete or nothing known explains what is left."
+HELP = (
+    "Adds what is missing, step by step, until the model is complete or no known effect explains the remaining error."
+)
 EPILOG = """\
 examples:
   eps-tunnel improve --real bags/real_* --model labyrinth --out better
   eps-tunnel improve --live --emulated --hide '?' --model labyrinth_mx64 --out notebook
   eps-tunnel improve --live --arm --model my_rig --out notebook
 
-Where the recordings leave several sets of effects, what they share is added; if they share nothing, the simplest.
+If the recordings leave several sets of effects, the effects that all have in common are added; if there are none, the
+simplest set is.
 Files in --out: step_1/, step_2/ ... with diagnosis.json, report.html and model.yaml each, the models model_1.yaml,
 model_2.yaml ... of the steps, and staircase.json; with --live notebook.md and what it links to: bags, gaps, diagnoses,
 models, and staircase.json."""
@@ -41,26 +44,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_diagnosis_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print staircase.json, and nothing else, to stdout")
     parser.add_argument("--most-steps", type=at_least_one, default=MOST_STEPS, metavar="N",
-                        help="additions after which it stops (default: %(default)s)")  # fmt: skip
+                        help="largest number of additions (default: %(default)s)")  # fmt: skip
     live = parser.add_argument_group(
-        "live", "Plays on rig and simulation instead of reading recordings; needs ROS 2. Joins the nodes that run "
+        "live", "Plays on rig and simulation instead of reading recordings; needs ROS 2. Uses the running nodes "
         "(`ros2 launch eps_tunnel_analysis study.launch.py`), unless --emulated starts its own. Ctrl-C stops the rig."
     )  # fmt: skip
     live.add_argument("--live", action="store_true", help="play, compare, diagnose, decide, add, and again")
-    live.add_argument("--arm", action="store_true", help="let it move the rig whose nodes run")
+    live.add_argument("--arm", action="store_true", help="allow it to move the rig whose nodes are running")
     live.add_argument("--emulated", nargs="?", const="healthy", metavar="CONFIG",
                       help="start the emulated testbed, config/testbed/CONFIG (healthy), and all nodes")  # fmt: skip
     live.add_argument("--hide", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]",
                       help="with --emulated: hide an effect; ? picks one at random, revealed at the end")  # fmt: skip
-    live.add_argument("--sequence", default="excite_12s", help="played at every step (default: %(default)s)")
-    live.add_argument("--trials", type=at_least_one, default=3, metavar="N", help="of each play (default: %(default)s)")
+    live.add_argument("--sequence", default="excite_12s", help="sequence to play at every step (default: %(default)s)")
+    live.add_argument("--trials", type=at_least_one, default=3, metavar="N",
+                      help="trials of each play (default: %(default)s)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int | None:
     if arguments.live:
         return _improve_live(arguments)
     if not arguments.real:
-        raise InputError("--real is missing: name the recordings, or play them now by --live.")
+        raise InputError("--real is missing: give the recordings, or record them now with --live.")
     _improve(arguments)
     return None
 
@@ -101,7 +105,9 @@ def _improve(arguments: argparse.Namespace) -> None:
     table(out, "Staircase of error", [*named, *(["ball's error", "held out"] if ball else [])], rows)
     out.print(step.sentence, soft_wrap=True, markup=False)
     out.print(f"Models: {arguments.out}; the last one: {step.model}", soft_wrap=True)
-    print_next(out, "Next: see what is left.", compare_with(step.last.recorded, arguments.real, str(step.model)))
+    print_next(
+        out, "Next: check the remaining error.", compare_with(step.last.recorded, arguments.real, str(step.model))
+    )
 
 
 def _improve_live(arguments: argparse.Namespace) -> int:
@@ -140,7 +146,7 @@ def _improve_live(arguments: argparse.Namespace) -> int:
         return 0
     recorded = ending.last.recorded
     real = [bag for bag, _ in recorded.bags]
-    print_next(out, "Next: see what is left.", compare_with(recorded, real, str(ending.model)))
+    print_next(out, "Next: check the remaining error.", compare_with(recorded, real, str(ending.model)))
     return 0
 
 
@@ -156,6 +162,9 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.emulated is not None or arguments.arm:
         return
     if not sys.stdin.isatty():
-        raise InputError("This moves the rig whose nodes run. Say so by --arm, or try it by --emulated.")
-    if input("This moves the rig whose nodes run. Is it clear? Type 'arm' to go on: ").strip() != "arm":
+        raise InputError("This moves the rig whose nodes are running. Confirm with --arm, or try it with --emulated.")
+    if (
+        input("This moves the rig whose nodes are running. Is the area clear? Type 'arm' to continue: ").strip()
+        != "arm"
+    ):
         raise InputError("Not armed; nothing was moved.")

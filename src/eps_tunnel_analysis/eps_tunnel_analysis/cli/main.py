@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """eps-tunnel COMMAND: finds the commands, parses, runs, and turns errors into words and exit codes; completes for TAB.
 
-0: done. 2: bad input, told on stderr. 130: Ctrl-C. 141: the reader of our output went away.
+0: done. 2: bad input, explained on stderr. 130: Ctrl-C. 141: the reader of our output is gone.
 """
 
 import argparse
@@ -52,7 +52,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         "eps-tunnel",
         description=DESCRIPTION,
-        epilog="eps-tunnel COMMAND --help tells more about each.",
+        epilog="eps-tunnel COMMAND --help explains each.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"eps-tunnel {version()}")
@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _give_up_output() -> None:
-    """Leaves what stdout could not take, as on a full disk, or Python would try again at its end and complain."""
+    """Discards what stdout could not take, as on a full disk; otherwise Python would try again at exit and complain."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -113,9 +113,9 @@ def _give_up_output() -> None:
 
 
 def complete(parser: argparse.ArgumentParser) -> None:
-    """Answers the shell and ends the process, where it is a shell that asks.
+    """Answers a completion request of the shell and ends the process, if there is one.
 
-    A shell offers behind TAB commands and options by themselves, and names of effects, models, rigs, sequences. It asks
+    On TAB, commands and options are completed, and names of effects, models, rigs, sequences. The shell asks
     by starting the program with `_ARGCOMPLETE` set, at every TAB: nothing slow is imported, no effect loaded.
     """
     if ASKED not in os.environ:
@@ -130,7 +130,7 @@ def complete(parser: argparse.ArgumentParser) -> None:
 
 
 def _completer(action: argparse.Action) -> Completer | None:
-    """By the name of an option, or of what stands alone."""
+    """Completer for an option or a positional argument, by its name."""
     return {
         "--model": _named("models"),
         "--rig": _named("rigs"),
@@ -152,17 +152,17 @@ def _named(kind: str) -> Completer:
 
 
 def effect_names(prefix: str, parsed_args: argparse.Namespace, **given: Any) -> list[str]:
-    """Names of effects, which are those of their files; before a place, as `add-effect` wants it, with a dot."""
-    found: set[str] = set()
+    """Names of effects, which are those of their files; with a dot where a place follows, as in `add-effect`."""
+    names: set[str] = set()
     spec = util.find_spec(EFFECTS)
     if spec is not None:
-        found |= {module.name for module in pkgutil.iter_modules(spec.submodule_search_locations)}
-    found |= {point.name for point in metadata.entry_points(group=EFFECTS)}
+        names |= {module.name for module in pkgutil.iter_modules(spec.submodule_search_locations)}
+    names |= {point.name for point in metadata.entry_points(group=EFFECTS)}
     folder = getattr(parsed_args, "effects", None) or os.environ.get("EPS_TUNNEL_EFFECTS")
     if folder:
-        found |= {file.stem for file in Path(folder).glob("[!_]*.py")}
+        names |= {file.stem for file in Path(folder).glob("[!_]*.py")}
     dot = "." if getattr(parsed_args, "command", "") == "add-effect" else ""
-    return sorted(f"{name}{dot}" for name in found if name.startswith(prefix))
+    return sorted(f"{name}{dot}" for name in names if name.startswith(prefix))
 
 
 def _subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:

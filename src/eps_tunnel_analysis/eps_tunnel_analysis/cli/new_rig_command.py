@@ -23,9 +23,8 @@ examples:
   eps-tunnel new-rig gantry.xml --csv logs/*.csv --match slide=x_axis --out gantry
   eps-tunnel new-rig pan.xml --csv log.csv --position-unit ticks --ticks-per-turn 4096 --zero 2048 --out pan
 
-Joints are matched by name. files in --out: rig.yaml and model.yaml with a reason beside every value; robot.xml where
-joints lack an actuator with a name or have several; bags made of tables. Nothing is fitted yet: calibrate or diagnose
-does that."""
+Joints are matched by name. Files in --out: rig.yaml and model.yaml with a reason for every value; robot.xml if a joint
+has no named actuator or several; bags made from tables. Nothing is fitted yet: calibrate or diagnose does that."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,18 +32,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--bag", nargs="+", metavar="BAG", type=Path, help="recordings: bags, or folders of bags")
     source.add_argument("--csv", nargs="+", metavar="CSV", type=Path, help="tables, one trial each")
-    source.add_argument("--lerobot", metavar="DIR", type=Path, help="a LeRobot dataset, one trial an episode")
+    source.add_argument("--lerobot", metavar="DIR", type=Path, help="a LeRobot dataset, one trial per episode")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="new folder for the files")
     parser.add_argument("--match", nargs="+", metavar="JOINT=RECORDED", type=_pair, default=[],
                         help="joint of the model and its name in the recordings, where they differ")  # fmt: skip
     parser.add_argument("--position-unit", choices=("rad", "deg", "m", "mm", "ticks"),
-                        help="of recorded positions and targets (default: told from their reach)")  # fmt: skip
+                        help="unit of recorded positions and targets (default: inferred from their range)")  # fmt: skip
     parser.add_argument("--ticks-per-turn", type=factor, metavar="N",
-                        help="for --position-unit ticks, as 4096; negative where they count the other way")  # fmt: skip
+                        help="for --position-unit ticks, for example 4096; negative if they count the other "
+                        "way")  # fmt: skip
     parser.add_argument("--zero", nargs="+", type=_zero, default=[], metavar="[JOINT=]Z",
-                        help="tick at which a joint of the model, or each, is at 0 (default: 0)")  # fmt: skip
+                        help="tick at which a joint of the model (or every joint) is at 0 (default: 0)")  # fmt: skip
     parser.add_argument("--effort-unit", choices=("N m", "N", "A", "mA", "duty", "raw"),
-                        help="of recorded efforts (default: told from the model's inverse dynamics)")  # fmt: skip
+                        help="unit of recorded efforts (default: inferred from the model's inverse "
+                        "dynamics)")  # fmt: skip
     parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects that the check tries (default: all)")
     parser.add_argument("--no-check", action="store_true", help="write the files only")
     add_threads_argument(parser)
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> None:
         made = new_rig(
             robot, read_all(paths), folder, dict(arguments.match), arguments.position_unit, arguments.effort_unit, ticks
         )
-        load_model(made.model)  # whatever is wrong is told before the folder takes its name
+        load_model(made.model)  # errors are raised before the folder gets its name
     model = arguments.out / "model.yaml"
     if not arguments.bag:
         paths = [arguments.out / "bags" / path.name for path in paths]
@@ -87,7 +88,7 @@ def run(arguments: argparse.Namespace) -> None:
     if not arguments.no_check:
         _check(model, paths, known, arguments)
     out.print(f"Rig: {arguments.out / 'rig.yaml'}\nModel: {model}", soft_wrap=True)
-    said = "Next: which physical effect the model lacks."
+    said = "Next: find out which physical effect the model lacks."
     if known:
         said = "Recorded with different gains: every command with these recordings needs --known as below. " + said
     source = arguments.bag or [arguments.out / "bags"]

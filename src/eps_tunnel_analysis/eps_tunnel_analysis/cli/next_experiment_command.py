@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""next-experiment: what to play next, to know values better or to tell effects apart."""
+"""next-experiment: what to play next, to narrow values or to distinguish effects."""
 
 import argparse
 import math
@@ -29,8 +29,8 @@ examples:
   eps-tunnel next-experiment --for values --model labyrinth_mx64 --free 'drive.x.*' --seconds 8 --out first.yaml
   eps-tunnel next-experiment --for names --model labyrinth --real bags/real_* --out next.yaml
 
-For values: the commands of a menu, at its amplitudes, one after another, that hold the most information on the values,
-all axes at once; none that the model runs into a stop with. For names: what `diagnose` proposes where it is undecided.
+For values: commands from a menu, one after another, with the most information on the values, all axes at once; none
+that runs the model into a stop. For names: the sequence that `diagnose` proposes when it is undecided.
 Play the file with `eps-tunnel sequences FILE --csv ...` or the sequence player."""
 
 
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="values to narrow (default: what each drive declares as free, and all of the model's "
                         "effects)")  # fmt: skip
     parser.add_argument("--seconds", type=within(1.0, 3600.0, "s"), default=12.0, metavar="S",
-                        help="of motion, at most (default: %(default)g)")  # fmt: skip
+                        help="longest motion, s (default: %(default)g)")  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="sequence file to write")
     add_diagnosis_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, to stdout")
@@ -68,18 +68,18 @@ def _for_values(arguments: argparse.Namespace, out: Path) -> None:
         model, plays, notes = recorded.model, recorded.plays, recorded.notes
     else:
         model, plays, notes = load_model(arguments.model, arguments.effects), (), ()
-    found = value_experiment(model, plays, arguments.free, arguments.seconds, arguments.threads)
+    designed = value_experiment(model, plays, arguments.free, arguments.seconds, arguments.threads)
     linear = [axis.command for axis in model.rig.axes if axis.slides]
-    write_new(out, found.to_yaml(linear))
+    write_new(out, designed.to_yaml(linear))
     if arguments.json:
-        print(json_text({"command": NAME, "file": str(out), **found.to_json()}), end="")
+        print(json_text({"command": NAME, "file": str(out), **designed.to_json()}), end="")
         return
-    _print(found)
+    _print(designed)
     print_notes(console(), notes)
-    print_next(console(), f"Next: play {out}, {found.command.duration:g} s. Its commands:", play_command(out))
+    print_next(console(), f"Next: play {out}, {designed.command.duration:g} s. Its commands:", play_command(out))
 
 
-def _print(found: "ValueExperiment") -> None:
+def _print(designed: "ValueExperiment") -> None:
     rows = [
         (
             v.name,
@@ -88,10 +88,10 @@ def _print(found: "ValueExperiment") -> None:
             f"± {shown_number(v.after, 2)}",
             v.unit,
         )
-        for v in found.values
+        for v in designed.values
     ]
     table(console(), "Expected intervals, 95 %", ("value", "now", "known to", "with the play", "unit"), rows)
-    for axis, names in found.pieces.items():
+    for axis, names in designed.pieces.items():
         console().print(f"{axis}: {', '.join(names)}", soft_wrap=True, markup=False)
 
 
@@ -108,7 +108,7 @@ def _for_names(arguments: argparse.Namespace, out: Path) -> None:
             recorded.model, recorded.plays, options.seed, None, options.threads, progress, held=recorded.held
         )
     if diagnosis.experiment is None:
-        raise InputError(f"{diagnosis.verdict.sentence} No experiment decides more.")
+        raise InputError(f"{diagnosis.verdict.sentence} No experiment would decide more.")
     write_new(out, diagnosis.experiment.to_yaml())
     if arguments.json:
         experiment = diagnosis.experiment

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""repair: saves what is whole in a damaged bag."""
+"""repair: saves the intact part of a damaged bag."""
 
 import argparse
 from pathlib import Path
 
 NAME = "repair"
-HELP = "Copies all that is whole in a damaged or unfinished bag into a new one; the old one stays as it is."
+HELP = "Copies the intact part of a damaged or unfinished bag into a new one; the old bag is not changed."
 EPILOG = """\
 example:
   eps-tunnel repair out/paper_8s_real --out out/paper_8s_real_repaired"""

@@ -10,7 +10,7 @@ from labyrinth_sim.errors import InputError
 NAME = "replay"
 HELP = "Publishes a bag's messages with their timing, and /clock. Needs ROS 2."
 EPILOG = """\
-Messages are as they were recorded, their stamps included. Start nodes with `-p use_sim_time:=true` to have them take
+Messages are published as recorded, including their stamps. Start nodes with `-p use_sim_time:=true` to have them take
 the time from /clock. Nothing is published on a topic on which another node publishes.
 
 example, with `ros2 topic echo /srg` in another terminal:

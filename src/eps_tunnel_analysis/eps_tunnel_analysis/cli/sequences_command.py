@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "(default: list all)")  # fmt: skip
     parser.add_argument("--csv", metavar="FILE", type=Path, help="write its sampled commands to this new file")
     parser.add_argument(
-        "--rate", type=within(0.1, 1e5, "Hz"), default=100.0, metavar="HZ", help="samples a second (default: 100)"
+        "--rate", type=within(0.1, 1e5, "Hz"), default=100.0, metavar="HZ", help="samples per second (default: 100)"
     )
 
 
@@ -48,12 +48,12 @@ def run(arguments: argparse.Namespace) -> None:
             "--csv: name the sequence whose commands are to be written. `eps-tunnel sequences` lists them."
         )
     names = [arguments.name] if arguments.name else config.names("sequences")
-    found = [find_sequence(name) for name in names]
+    sequences = [find_sequence(name) for name in names]
     if arguments.csv:
-        write_csv(found[0], arguments.csv, arguments.rate)
+        write_csv(sequences[0], arguments.csv, arguments.rate)
         return
     rows = [(s.name, str(len(s.commands)), str(s.trials), f"{max(c.duration for c in s.commands):g} s", _reach(s),
-             s.description) for s in found]  # fmt: skip
+             s.description) for s in sequences]  # fmt: skip
     table(console(), "Sequences", ("name", "commands", "trials", "length", "reach", "what"), rows, left=6)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""sweep: what a change of a value would do."""
+"""sweep: what changing a value would do."""
 
 import argparse
 import csv
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from eps_tunnel_analysis.values.sweep import Sweep
 
 NAME = "sweep"
-HELP = "Alikeness and error over a value of the model, or over two: what a change of them would do."
+HELP = "Alikeness and error over one or two values of the model: what changing them would do."
 EPILOG = """\
 examples:
   eps-tunnel sweep drive.x.p --real bags/real_* --model fitted.yaml --out over_p
   eps-tunnel sweep backlash.x.width=0:0.02 drive.x.delay=0.01:0.05:9 --real bags/real_* --model labyrinth --out pair
 
-Without a range a value goes from half to twice what the model has, or over all of its bounds where that is 0. Ranges
-are in the unit of the value. An effect that the model lacks is added, switched off but for what is swept.
+Without a range, a value goes from half to twice the model's value, or over its full bounds if that is 0. Ranges
+are in the unit of the value. An effect that the model lacks is added, with everything off except the swept value.
 Files in --out: sweep.svg, sweep.csv (SI units), sweep.json."""
 
 

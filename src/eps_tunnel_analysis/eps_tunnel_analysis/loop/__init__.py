@@ -1,2 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop: play, compare, diagnose, play what decides, add, and again; on recordings or on any rig that plays."""
+"""The loop: play, compare, diagnose, play the deciding experiment, add effects, and repeat; on recordings or on a
+running rig."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays, compares, diagnoses, plays what decides, adds, and plays again, until nothing more can be named.
+"""Plays, compares, diagnoses, plays the deciding experiment, adds effects, and repeats until nothing more can be named.
 
-Exploration and estimation in turn, after Bongard and Lipson (IEEE Trans. Evolutionary Computation 9, 2005). On
+Exploration and estimation alternate, after Bongard and Lipson (IEEE Trans. Evolutionary Computation 9, 2005). On
 recordings alone it does the same without playing.
 """
 
@@ -36,12 +36,12 @@ class Plan:
     Attributes:
         model, sequence: names or paths to start from.
         trials: of each play.
-        most_steps: so often effects are added at most.
-        most_experiments: so many are played for one decision at most.
+        most_steps: largest number of additions.
+        most_experiments: largest number played for one decision.
         search: how recordings are read and diagnosed.
-        recordings: bags of the real side to work on; none where a rig plays.
-        replay: where nothing can be added, give the simulation the refitted values and play once more.
-        propose: where nothing known explains what is missing, look for a law, and play another command to confirm it.
+        recordings: bags of the real side to work on; none if a rig plays.
+        replay: if nothing can be added, load the refitted values into the simulation and play once more.
+        propose: if no known effect explains the error, look for a law, and play another command to confirm it.
     """
 
     model: str
@@ -63,10 +63,10 @@ class Stair:
         step: "as given", "refitted values", or "+" and what was added.
         error: equation 10, mean over signals, in the rig's `position_unit`.
         alikeness: joint, at k = 1.
-        held_out: the error on what was not fitted; NaN where it is that of a fresh play.
-        repeats: what the rig itself does not repeat; NaN where that was not measured.
-        itself: alikeness that the rig reaches against itself, joint, at k = 1; NaN where that was not measured.
-        ball: its errors, m, where it was seen.
+        held_out: the error on held-out data; NaN if it is that of a fresh play.
+        repeats: the rig's own repeat error; NaN if it was not measured.
+        itself: alikeness that the rig reaches against itself, joint, at k = 1; NaN if it was not measured.
+        ball: its errors, m, if it was seen.
     """
 
     step: str
@@ -81,7 +81,7 @@ class Stair:
 
 @dataclass(frozen=True)
 class Played:
-    """A sequence was played on both sides and recorded: with which model and for what (`why`); the gap's report."""
+    """A sequence was played on both sides and recorded: with which model and why; the gap's report."""
 
     sequence: str
     trials: int
@@ -93,11 +93,11 @@ class Played:
 
 @dataclass(frozen=True)
 class Added:
-    """The model was changed, and the simulation runs it, where there is one.
+    """The model was changed, and the simulation, if there is one, runs it.
 
     Attributes:
         words: the effects, in words; "" where the values were only refitted.
-        why: they were added though the diagnosis names no single set; "" where it names them.
+        why: they were added although the diagnosis names no single set; "" if it names them.
         file: of the new model.
     """
 
@@ -109,7 +109,7 @@ class Added:
 
 @dataclass(frozen=True)
 class Tested:
-    """A law that was proposed, held against a play of another command; `reason` proposed it."""
+    """A proposed law, tested on a play of another command; `reason` proposed it."""
 
     proposal: Proposal
     reason: Reason
@@ -127,7 +127,7 @@ class Ending:
         model: file of the last model.
         steps: the staircase of error.
         last: the last diagnosis.
-        proposal: the law that is proposed where nothing known explains what is missing.
+        proposal: the law that is proposed if no known effect explains the error.
     """
 
     verdict: str
@@ -151,7 +151,7 @@ Step = Played | Reason | Added | Tested | Ending
 
 
 def heading(step: Step) -> str:
-    """A step in a line."""
+    """A step in one line."""
     match step:
         case Played():
             return f"Played {step.sequence}, {step.trials} trials, with {step.why}"
@@ -167,10 +167,11 @@ def heading(step: Step) -> str:
 
 
 def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...], str]:
-    """The effects to add, and why, where that is not the verdict itself; none where nothing should be added.
+    """The effects to add, and why if it is not the verdict itself; none if nothing should be added.
 
-    Of an undecided verdict: what all stated sets share; if they share nothing, the simplest of them, for a set that no
-    recording at hand can tell from another does no harm. Nothing where "nothing missing" is among them.
+    For an undecided verdict: what all stated sets share; if they share nothing, the simplest of them, because a set
+        that no
+    recording at hand can distinguish from another does no harm. Nothing if "nothing missing" is one of them.
     """
     if verdict.verdict == "effect":
         return verdict.effects, ""
@@ -183,8 +184,8 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
     if shared:
         words = " and ".join(in_words(name, registry) for name in shared)
         if len(sets) == 1:
-            return tuple(shared), f"More likely than not, {words} is missing; there may be something unknown besides."
-        return tuple(shared), f"These recordings leave {len(sets)} sets of effects; all of them hold {words}."
+            return tuple(shared), f"More likely than not, {words} is missing; something unknown may be missing as well."
+        return tuple(shared), f"These recordings leave {len(sets)} sets of effects; all of them contain {words}."
     if sum(verdict.set[name] for name in sets) <= LIKELY:
         return (), ""
 
@@ -194,7 +195,7 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
 
     simplest = min(sets, key=size)
     others = " or ".join(" with ".join(in_words(e, registry) for e in s.split(" + ")) for s in sets if s != simplest)
-    return tuple(simplest.split(" + ")), f"No recording at hand tells it from {others}; it is the simplest."
+    return tuple(simplest.split(" + ")), f"No recording at hand distinguishes it from {others}; it is the simplest."
 
 
 def _parameters(name: str, registry: Registry) -> tuple[object, ...]:
@@ -207,7 +208,7 @@ class Experimenter:
 
     Args:
         folder: exists; receives bags, gaps, diagnoses, models, and staircase.json.
-        rig: to play on; None where the plan names recordings.
+        rig: to play on; None if the plan names recordings.
         progress: a context whose value is called while a diagnosis makes roll-outs.
     """
 
@@ -226,10 +227,10 @@ class Experimenter:
     _proposal: Proposal | None = None
 
     def steps(self) -> Iterator[Step]:
-        """Each step once it is over; the last one is an Ending.
+        """Each step when it is over; the last one is an Ending.
 
         Raises:
-            InputError, RigFailed, KeyboardInterrupt: whatever ends it early; all that was done is on disk.
+            InputError, RigFailed, KeyboardInterrupt: what ended it early; everything done so far is on disk.
         """
         plan = self.plan
         model, path = load_model(plan.model, plan.search.effects), plan.model
@@ -278,7 +279,7 @@ class Experimenter:
             path = str(file)
 
     def _play(self, sequence: str, model: Model, why: str, stair: Stair | None = None) -> Played:
-        """Plays on both sides and writes the gap down, as a step of the staircase where one is given."""
+        """Plays on both sides and records the gap, as a step of the staircase if one is given."""
         assert self.rig is not None
         self._plays += 1
         bags = self.rig.play(sequence, self.plan.trials, self.folder / f"play_{self._plays}")
@@ -302,11 +303,11 @@ class Experimenter:
             run = DiagnosisRun(progress, limit, levels or None, propose)
             reason = diagnose_bags(model, real, folder, self.plan.search, run)
         if self.rig:
-            self.rig.tell(reason.content, reason.report)
+            self.rig.publish(reason.content, reason.report)
         return reason
 
     def _experiment(self, reason: Reason, model: Model) -> Played | None:
-        """Plays what decides; None where nothing is undecided, or there is nothing new to play."""
+        """Plays the deciding experiment; None if nothing is undecided, or there is nothing new to play."""
         experiment, tried = reason.diagnosis.experiment, self._experiments
         if not self.rig or reason.diagnosis.verdict.verdict != "undecided" or experiment is None:
             return None
@@ -319,9 +320,9 @@ class Experimenter:
         return self._play(str(file), model, f"the same model, to decide. {experiment.reason}")
 
     def _repeat(self, reason: Reason, model: Model) -> Played | None:
-        """Plays once more, instead of what came at uneven times, for no effect explains that; None where nothing did.
+        """Plays again what was timed unevenly, because no effect explains that; None if nothing was.
 
-        Only once: a rig that is always uneven is unknown indeed.
+        Only once: if the rig is always uneven, the verdict remains "unknown".
         """
         uneven = self._uneven()
         if reason.diagnosis.verdict.verdict != "unknown" or not uneven or self._repeated:
@@ -329,23 +330,23 @@ class Experimenter:
         self._repeated = True
         self._played = [(bags, gap) for bags, gap in self._played if all(gap is not other for other in uneven)]
         late = max(gap.jitter for gap in uneven)
-        why = f"the same model, for trials differed as if they had come {1e3 * late:.0f} ms early or late"
+        why = f"the same model, because trials differed as if they had come {1e3 * late:.0f} ms early or late"
         return self._play(self.plan.sequence, model, why, self._stairs.pop())
 
     def _uneven(self) -> list[Gap]:
-        """Of plays whose trials came at uneven times, more than the rig is known to."""
+        """Gaps of plays whose trials were timed more unevenly than is known of the rig."""
         return [gap for _, gap in self._played if gap.jitter > self.plan.search.timing]
 
     def _visited(self, reason: Reason, model: Model) -> Played | None:
-        """Plays the command that shows a proposed law best; None where none is proposed, or nothing plays."""
+        """Plays the command that shows a proposed law best; None if none is proposed, or there is no rig."""
         proposal = reason.proposal
         if not self.rig or proposal is None or proposal.model is None or proposal.visit is None:
             return None
         file = reason.folder / f"{proposal.visit.name}.yaml"
-        return self._play(str(file), model, f"the same model, to confirm what is proposed. {proposal.visit.reason}")
+        return self._play(str(file), model, f"the same model, to confirm the proposed law. {proposal.visit.reason}")
 
     def _tested(self, reason: Reason, played: Played | None) -> Tested | None:
-        """What a play of another command, or recordings that were held out, say of a proposed law."""
+        """The result of a proposed law on a play of another command, or on held-out recordings."""
         if reason.proposal is None:
             return None
         options, plays = self.plan.search, reason.recorded.held
@@ -355,8 +356,8 @@ class Experimenter:
         return Tested(self._proposal, reason) if self._proposal.confirmation else None
 
     def _addition(self, reason: Reason) -> tuple[Addition, str]:
-        """The model with what should be added, and why that is not the verdict itself; with refitted values if nothing
-        should, or if it does not help on what was not fitted."""
+        """The model with the effects to add, and why they are not the verdict itself; with refitted values if nothing
+        should be added, or if it does not help on held-out data."""
         diagnosis, recorded = reason.diagnosis, reason.recorded
         names, why = chosen_effects(diagnosis.verdict, diagnosis.model.registry)
         addition = addition_of(diagnosis, names, recorded.plays, recorded.held)
@@ -388,7 +389,7 @@ def _stair(name: str, added: tuple[str, ...], errors: Errors, ball: tuple[Errors
 
 
 def truth(hidden: Sequence[Mapping[str, Any]]) -> str:
-    """The hypothesis that is true, as a verdict's set names it; `hidden` as the testbed's --reveal writes it."""
+    """The true hypothesis, named as in a verdict's set; `hidden` as the testbed's --reveal writes it."""
     if not hidden:
         return NONE
     if not all(item["known"] for item in hidden):
@@ -400,7 +401,7 @@ def truth(hidden: Sequence[Mapping[str, Any]]) -> str:
 def judged(
     hidden: Sequence[Mapping[str, Any]], effects: Sequence[str], ending: str, stated: Sequence[str], registry: Registry
 ) -> str:
-    """Whether it was found.
+    """Whether the hidden effect was found.
 
     Args:
         effects: every effect that was named.
@@ -415,10 +416,10 @@ def judged(
     hid = set(true.split(" + "))
     if hid <= set(effects):
         more = " and ".join(in_words(name, registry) for name in sorted(set(effects) - hid))
-        return f"It was found; named besides: {more}." if more else "It was found; whether that is all is not decided."
+        return f"It was found; also named: {more}." if more else "It was found; it is not decided whether that is all."
     if ending == "undecided" and true in stated:
         return f"It is one of the {len(stated)} hypotheses that these recordings leave."
     naming = [set(name.split(" + ")) for name in stated if name not in (NONE, UNKNOWN)]
     if ending == "undecided" and naming and all(hid <= names for names in naming):
-        return "It was found; whether that is all is not decided."
+        return "It was found; it is not decided whether that is all."
     return "That was not found."

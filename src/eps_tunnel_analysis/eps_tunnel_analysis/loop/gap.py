@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the loop needs of a rig, and the gap that a play on it shows, from the bags of both sides."""
+"""What the loop needs from a rig, and the gap of a play on it, from the bags of both sides."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ from labyrinth_sim.rig import Rig
 
 
 class RigFailed(Exception):
-    """A sequence was not played to its end, or a model not taken over; the text says why."""
+    """A sequence was not played to its end, or a model was not loaded; the text says why."""
 
 
 @dataclass(frozen=True)
 class Bags:
-    """What one play left: paths of the bags of either side."""
+    """The bags of one play, by side."""
 
     real: tuple[Path, ...]
     sim: tuple[Path, ...]
@@ -42,23 +42,23 @@ class PlayableRig(Protocol):
         """Plays a sequence, by name or path, on both sides and records it into `folder`. Raises RigFailed."""
 
     def load(self, model: Path) -> None:
-        """Has the simulation take over a model file. Raises RigFailed."""
+        """Loads a model file into the simulation. Raises RigFailed."""
 
     def limit(self) -> float:
         """The largest angle, rad, that may be commanded."""
 
-    def tell(self, content: Mapping[str, Any], report: Path) -> None:
-        """Makes a verdict known, as diagnosis.json holds it."""
+    def publish(self, content: Mapping[str, Any], report: Path) -> None:
+        """Publishes a verdict, in the form of diagnosis.json."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """A play compared.
+    """The comparison of one play.
 
     Attributes:
         comparison: of the positions.
-        notes: what was left out.
-        jitter: s, by which samples or commands of the real trials seem to have come early or late; 0 where they repeat.
+        notes: on what was left out.
+        jitter: s, by which samples or commands of the real trials seem to be early or late; 0 if they repeat.
     """
 
     comparison: Comparison
@@ -67,7 +67,7 @@ class Gap:
 
     @property
     def unit(self) -> str:
-        """Of the errors: that of the signals; rad where some turn and some slide."""
+        """Unit of the errors: that of the signals; rad if some turn and some slide."""
         return error_unit(self.comparison.real.units)
 
     @property
@@ -77,7 +77,7 @@ class Gap:
 
     @property
     def repeats(self) -> float:
-        """What the rig itself does not repeat: RMS about the mean of its trials, mean over the signals in `unit`."""
+        """The rig's own repeat error: RMS about the mean of its trials, mean over the signals in `unit`."""
         return mean_error([e.repeat_rms for e in self.comparison.errors], self.comparison.real.units)
 
     @property
@@ -108,7 +108,7 @@ def measure_gap(bags: Bags, rig: Rig, ks: Sequence[float] = KS) -> Gap:
 
 
 def write_gap(gap: Gap, bags: Bags, folder: Path, name: str, model: str) -> None:
-    """Report and tables, as `compare` writes them, into a new folder; `name` and path of the model simulated."""
+    """Report and tables, as `compare` writes them, into a new folder; `name` and path of the simulated model."""
     command = ["eps-tunnel", "compare", "--real", *map(str, bags.real), "--sim", *map(str, bags.sim)]
     rate = 1.0 / gap.comparison.real.step
     command += [] if np.isclose(rate, RATE) else ["--rate", f"{rate:g}"]
@@ -128,7 +128,7 @@ def write_gap(gap: Gap, bags: Bags, folder: Path, name: str, model: str) -> None
 
 
 def _throughout(recordings: Sequence[Recording], rig: Rig) -> tuple[list[str], list[str]]:
-    """The positions measured throughout, and what is said of the others."""
+    """The positions measured throughout, and notes on the others."""
     left_out: dict[str, str] = {}
     for name in rig.positions:
         for recording in recordings:

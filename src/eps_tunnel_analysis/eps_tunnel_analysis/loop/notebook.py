@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The notebook of an experimenter: Markdown with pictures, whole on disk after every entry."""
+"""The notebook of an experimenter: Markdown with pictures, complete on disk after every entry."""
 
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -28,7 +28,7 @@ MOST_SENTENCES = 3  # sentences on where it fails
 
 
 class Notebook:
-    """notebook.md in a folder, and pictures beside it."""
+    """notebook.md and its pictures in a folder."""
 
     def __init__(self, folder: Path, title: str, *lines: str) -> None:
         self._folder, self._count = folder, 0
@@ -58,7 +58,7 @@ class Notebook:
         return f"[{text}]({Path(os.path.relpath(path, self._folder)).as_posix()})"
 
     def keep(self, steps: Iterable[Step], say: Callable[[str], None]) -> Ending:
-        """Writes each step down as it comes, and says it in a line; what interrupts them is written down, too.
+        """Writes each step into the notebook as it comes, and prints it in one line; an interruption is written, too.
 
         Raises:
             KeyboardInterrupt, RigFailed, InputError: as the steps do.
@@ -125,7 +125,7 @@ def gap_page(played: Played, notebook: Notebook) -> list[str]:
 
 
 def diagnosis_page(reason: Reason, notebook: Notebook) -> list[str]:
-    """Sentence, probabilities, what is left, notes."""
+    """Sentence, probabilities, remaining error, notes."""
     d, v = reason.diagnosis, reason.diagnosis.verdict
     floors = ", ".join(f"{axis}: {old**0.5:.1f} before, {new**0.5:.1f} after" for axis, (old, new) in v.floor.items())
     return [
@@ -139,7 +139,7 @@ def diagnosis_page(reason: Reason, notebook: Notebook) -> list[str]:
 
 
 def addition_page(added: Added, notebook: Notebook) -> list[str]:
-    """Why it was added, what was fitted, and what that is worth, recording by recording."""
+    """Why it was added, what was fitted, and how much it helps, recording by recording."""
     addition = added.addition
     rows = [(name, f"{value:.5g}") for name, value in addition.values.items()]
     return [
@@ -152,7 +152,7 @@ def addition_page(added: Added, notebook: Notebook) -> list[str]:
 
 
 def law_page(tested: Tested, notebook: Notebook) -> list[str]:
-    """What is proposed, what another command says of it, and its files."""
+    """The proposed law, its test on another command, and its files."""
     folder = tested.reason.folder
     files = [folder / name for name in ("proposed_effect.py", "proposed_model.yaml")]
     links = ", ".join(notebook.link(file.name, file) for file in files if file.exists())
@@ -160,7 +160,7 @@ def law_page(tested: Tested, notebook: Notebook) -> list[str]:
 
 
 def ending_page(ending: Ending, notebook: Notebook) -> list[str]:
-    """Verdict, staircase, and where nothing known explains what is left, the picture of that."""
+    """Verdict, staircase, and, if no known effect explains the remaining error, a picture of it."""
     unit = ending.last.recorded.model.rig.position_unit
     rows = [(s.step, shown_value(s.error, unit), *map(shown_share, (s.alikeness, s.itself))) for s in ending.steps]
     stairs = staircase_picture([(s.step, s.error) for s in ending.steps], ending.steps[-1].repeats, unit)

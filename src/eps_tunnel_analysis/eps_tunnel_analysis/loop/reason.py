@@ -53,12 +53,12 @@ class DiagnosisOptions:
 
 @dataclass(frozen=True)
 class DiagnosisRun:
-    """What one diagnosis is given beside its options.
+    """The input of one diagnosis, apart from its options.
 
     Attributes:
         progress, levels, spread: as in `diagnose`.
         limit: rad; an experiment that goes further is not proposed.
-        propose: where the verdict is "unknown", look for a law of its own.
+        propose: if the verdict is "unknown", look for a law.
     """
 
     progress: RolloutProgress | None = None
@@ -72,7 +72,7 @@ class DiagnosisRun:
 @dataclass(frozen=True)
 class Reason:
     """A diagnosis of recordings, the content of its diagnosis.json, and the folder with that, report.html, model.yaml
-    and, where two hypotheses are left, next_experiment.yaml."""
+    and, if two hypotheses are left, next_experiment.yaml."""
 
     diagnosis: Diagnosis
     recorded: Recorded
@@ -107,7 +107,7 @@ def diagnose_bags(
 
 
 def check_recorded(recorded: Recorded, options: DiagnosisOptions, progress: RolloutProgress | None = None) -> Check:
-    """What recordings are like and can tell, before anything is fitted."""
+    """Quality of recordings and what they can identify, before anything is fitted."""
     return check(recorded.model, recorded.plays, recorded.notes, options.candidates, options.threads, progress)
 
 
@@ -131,11 +131,11 @@ def diagnose_recorded(
     return Findings(diagnosis, recorded, proposal, checked)
 
 
-def write_reason(found: Findings, folder: Path, real: Sequence[Path], model: str) -> Reason:
+def write_reason(findings: Findings, folder: Path, real: Sequence[Path], model: str) -> Reason:
     """Writes a diagnosis into a new folder; arguments as in `write_diagnosis`. Raises InputError: it exists."""
     with new_folder(folder) as partial:
-        content = write_diagnosis(partial, folder, found, real, model)
-    return Reason(found.diagnosis, found.recorded, content, folder, found.proposal)
+        content = write_diagnosis(partial, folder, findings, real, model)
+    return Reason(findings.diagnosis, findings.recorded, content, folder, findings.proposal)
 
 
 def add_to_model(
@@ -146,7 +146,7 @@ def add_to_model(
     options: DiagnosisOptions,
     progress: RolloutProgress | None = None,
 ) -> tuple[Addition, Recorded]:
-    """Adds effects, `EFFECT.PLACE`, fitted to bags, and writes the model to `out` with where it comes from.
+    """Adds effects, `EFFECT.PLACE`, fitted to bags, and writes the model to `out` with its provenance.
 
     Returns:
         What was added, and what it was fitted to.

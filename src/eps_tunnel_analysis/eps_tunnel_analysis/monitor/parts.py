@@ -16,7 +16,7 @@ HOLE = "hole_"
 
 @dataclass(frozen=True)
 class Floor:
-    """The board from above, in the ball's frame.
+    """The board seen from above, in the ball's frame.
 
     Attributes:
         size: (x, y) m of the inner board.
@@ -34,7 +34,7 @@ class Floor:
 
 @dataclass(frozen=True)
 class RigPart:
-    """What is fixed while the model's rig is.
+    """What is constant for one rig.
 
     Attributes:
         name: of the rig.
@@ -42,7 +42,7 @@ class RigPart:
         reach: rad, or m where it slides, the largest target of any axis.
         tilt: signals of the board's turn about its x and its y axis; None without a floor.
         floor: None without a ball.
-        unit: in which errors of the rig's positions are told, rad or m.
+        unit: unit in which errors of the rig's positions are given, rad or m.
         units: SI unit of each signal.
     """
 
@@ -65,7 +65,7 @@ class Choices:
 
 @dataclass(frozen=True)
 class Connections:
-    """Who is there. model: what the simulation runs, as it says; file: its path, "" where it tells none."""
+    """Which nodes run. model: what the simulation runs, as it reports; file: its path, "" if it reports none."""
 
     real: bool
     sim: bool
@@ -78,7 +78,7 @@ class Connections:
 
 @dataclass(frozen=True)
 class RunPart:
-    """The run under way or the last one: trial from 0; phase as the player says; share 0..1; time_left, duration s."""
+    """The current run or the last one: trial from 0; phase as the player says; share 0..1; time_left, duration s."""
 
     sequence: str
     trial: int
@@ -136,7 +136,7 @@ class Scene:
 @dataclass(frozen=True)
 class VerdictPart:
     """What a diagnosis said. hypotheses: (name, probability, whether in the stated set); where: spans outside the
-    tunnel as (signal, start, end) in s; held_out: errors on samples kept from the fit, in the rig's unit, of the
+    tunnel as (signal, start, end) in s; held_out: errors on held-out samples, in the rig's unit, of the
     model as given, with its values refitted, with the effects added; report: address, next_experiment: name or path, ""
     where none."""
 
@@ -155,12 +155,12 @@ class VerdictPart:
 
 @dataclass(frozen=True)
 class StaircaseStep:
-    """One step of the staircase: a model and what it left.
+    """One step of the staircase: a model and its error.
 
     Attributes:
         model: its name.
         change: what was done to get it, in words.
-        held_out: mean error on samples kept from the fit, in the rig's unit; None where it was not diagnosed.
+        held_out: mean error on held-out samples, in the rig's unit; None if it was not diagnosed.
         live: joint alikeness at the smallest k at the end of its last run; None before.
     """
 
@@ -179,10 +179,10 @@ class Staircase:
 
 @dataclass(frozen=True)
 class Job:
-    """Work under way: kind "play", "diagnose" or "add", "" for none; told in words; seconds since it began."""
+    """The current job: kind "play", "diagnose" or "add", "" for none; progress in words; seconds since it began."""
 
     kind: str
-    told: str
+    progress: str
     seconds: float
 
 
@@ -205,7 +205,7 @@ class Health:
 
 @dataclass(frozen=True)
 class Adjustables:
-    """Values of the model that runs which can be moved over the last run's recordings; none before there are any."""
+    """Values of the running model that can be varied on the last run's recordings; none before there are any."""
 
     values: tuple[Adjustable, ...]
 
@@ -215,11 +215,11 @@ class WhatIfPart:
     """The last command of the last run, simulated with another value of the model.
 
     Attributes:
-        name, unit: of the value; "" where none is moved.
-        value, given: as asked for, and as the model has it.
-        told: the recorded command.
-        gap: with the value; None where none is moved.
-        before: of the model as it is.
+        name, unit: of the value; "" if none is varied.
+        value, given: as requested, and as the model has it.
+        command: the recorded one.
+        gap: with the value; None if none is varied.
+        before: of the unchanged model.
         number: of the trajectories that belong to it, see `State.show_what_if`.
     """
 
@@ -227,7 +227,7 @@ class WhatIfPart:
     unit: str = ""
     value: float = 0.0
     given: float = 0.0
-    told: str = ""
+    command: str = ""
     gap: GapPart | None = None
     before: Before | None = None
     number: int = 0

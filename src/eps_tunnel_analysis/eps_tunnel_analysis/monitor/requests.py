@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page may ask for, from JSON to values, checked by pydantic."""
+"""The page's requests, from JSON to values, checked by pydantic."""
 
 import json
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ def _field(what: str, **checks: Any) -> Any:
 
 @dataclass(frozen=True)
 class ArmRequest:
-    """Allows the page to move the rig, or no longer."""
+    """Allows or forbids the page to move the rig."""
 
     on: Annotated[bool, _field("true or false", strict=True)]
 
@@ -41,7 +41,7 @@ class PlayRequest:
 
 @dataclass(frozen=True)
 class StopRequest:
-    """Stops whatever is under way."""
+    """Stops the current job."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serves the page, tells every open one what changed, and takes what they ask for.
+"""Serves the page, sends every open one what changed, and takes their requests.
 
-Only the WebSocket takes requests, and it opens to none but the page served here. Who may look and who may drive: the
-address the page was asked under, the page that asks, and the token decide.
+Only the WebSocket takes requests, and it opens only for the page served here. Access depends on the
+address under which the page was requested, the requesting page, and the token.
 """
 
 import asyncio
@@ -38,8 +38,8 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cache-Control": "no-cache",
 }
-TELL_PERIOD = 0.1  # s between two looks for changes
-ALIVE = 20  # looks after which a page is told that there was no change
+SEND_PERIOD = 0.1  # s between two looks for changes
+ALIVE = 20  # polls after which a page is sent that there was no change
 PING = 10.0  # s
 LONGEST_MESSAGE = 65536  # bytes from a page
 GOODBYE = 0.05  # s
@@ -58,7 +58,7 @@ def is_loopback(host: str) -> bool:
 
 
 def new_token() -> str:
-    """A token that nobody guesses."""
+    """A token that cannot be guessed."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
@@ -79,7 +79,7 @@ class Access:
     def knows_host(self, header: str) -> bool:
         """Whether a Host header names this server.
 
-        A name that somebody else made to point at this machine (DNS rebinding) is none of ours, so that its pages
+        A name that someone else made to point at this machine (DNS rebinding) is not accepted, so that its pages
         cannot read this one.
         """
         parts = _HOST.fullmatch(header.lower())
@@ -113,7 +113,7 @@ def _own_names() -> set[str]:
 
 
 class Guarded(tornado.web.RequestHandler):
-    """Answers only who names this server and shows its token."""
+    """Answers only requests that name this server and show its token."""
 
     @property
     def access(self) -> Access:
@@ -137,7 +137,7 @@ class Guarded(tornado.web.RequestHandler):
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie that shows the token; cookies do not tell ports apart."""
+        """Name of the cookie that shows the token; cookies do not distinguish ports."""
         return f"monitor_{self.access.port}"
 
     def write_error(self, status_code: int, **_: Any) -> None:
@@ -168,7 +168,7 @@ class File(Guarded, tornado.web.StaticFileHandler):
 
 
 class Report(Guarded):
-    """A report that a diagnosis wrote: a page with everything inside, kept apart from ours."""
+    """A report of a diagnosis: a self-contained page, isolated from ours."""
 
     def initialize(self, reports: Mapping[int, Path]) -> None:
         self._reports = reports
@@ -192,7 +192,7 @@ class PastTrial(Guarded):
 
 
 class WhatIfTable(Guarded):
-    """The trajectories that belong to the value that was moved last."""
+    """The trajectories for the value that was changed last."""
 
     def initialize(self, table: Callable[[], dict[str, Any] | None]) -> None:
         self._table = table
@@ -212,7 +212,7 @@ class Live(Guarded, tornado.websocket.WebSocketHandler):
     """One open page.
 
     Attributes:
-        seen: the last revision of the state that it was told.
+        seen: the last revision of the state that it was sent.
     """
 
     def initialize(self, asked: Callable[[Request], None], pages: "set[Live]") -> None:
@@ -237,10 +237,10 @@ class Live(Guarded, tornado.websocket.WebSocketHandler):
 
     @property
     def idle(self) -> bool:
-        """Whether what it was told last has left; a slow page gets fewer messages, each of them whole."""
+        """Whether its last message has been sent; a slow page gets fewer messages, each of them complete."""
         return self._sending is None or self._sending.done()
 
-    def tell(self, message: str, revision: int) -> None:
+    def send(self, message: str, revision: int) -> None:
         """Sends what changed up to a revision; "" where nothing did."""
         self.seen = revision
         if message:
@@ -296,7 +296,7 @@ class MonitorServer:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """The address to open in a browser."""
         host = "localhost" if self.access.host in ("0.0.0.0", "::", "") else self.access.host
         shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/" + (f"?token={self.access.token}" if self.access.token else "")
@@ -329,20 +329,20 @@ class MonitorServer:
         )  # fmt: skip
         server = tornado.httpserver.HTTPServer(application)
         server.add_sockets(self._sockets)
-        tell = tornado.ioloop.PeriodicCallback(self._tell, TELL_PERIOD * 1000)
-        tell.start()
+        sender = tornado.ioloop.PeriodicCallback(self._send, SEND_PERIOD * 1000)
+        sender.start()
         self._loop.call_soon(self._ready.set)
         try:
             self._loop.run_forever()
         finally:
-            tell.stop()
+            sender.stop()
             server.stop()
             for page in list(self._pages):
                 page.close(1001, "The monitor ends.")
             self._loop.run_until_complete(asyncio.sleep(GOODBYE))
             self._loop.close()
 
-    def _tell(self) -> None:
+    def _send(self) -> None:
         self._looks += 1
         nothing = "{}" if self._looks % ALIVE == 0 else ""
         encoded: dict[int, tuple[str, int]] = {}  # pages that saw the same get the same
@@ -350,4 +350,4 @@ class MonitorServer:
             if page.seen not in encoded:
                 changes, revision = self._state.changes(page.seen)
                 encoded[page.seen] = (json.dumps(changes, allow_nan=False) if changes else nothing, revision)
-            page.tell(*encoded[page.seen])
+            page.send(*encoded[page.seen])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a session at the page: play, diagnose, add, play again. One thing at a time; and values to move."""
+"""The course of a session at the page: play, diagnose, add, play again. One job at a time; and values to vary."""
 
 import queue
 import threading
@@ -43,7 +43,7 @@ from eps_tunnel_analysis.monitor.state import (
     TUNNEL_TRIALS,
     State,
     Steps,
-    told_rows,
+    table_rows,
 )
 from eps_tunnel_analysis.outputs import numbered_folder, shown_number
 from eps_tunnel_analysis.processes import CommandResult
@@ -61,10 +61,10 @@ EXPERIMENT = "next_experiment.yaml"
 
 
 class Work:
-    """A task in a process of its own, if any.
+    """A task in a separate process, if any.
 
     Attributes:
-        doing: how far it is, in words.
+        doing: its progress, in words.
         began: monotonic s.
     """
 
@@ -96,7 +96,7 @@ class Work:
         self._threads.shutdown()
 
     def ended(self) -> tuple[Path, dict[str, Any] | None, str, str] | None:
-        """The task that ended since the last call: what it wrote, its content or None, its kind, and a complaint."""
+        """The task that ended since the last call: its file, its content or None, its kind, and a complaint."""
         if self._task is None or not self._result.done():
             return None
         task, self._task = self._task, None
@@ -137,14 +137,14 @@ class RigAccess(Protocol):
 
     @property
     def ready(self) -> bool:
-        """Whether something is there that plays."""
+        """Whether a player is running."""
 
     @property
     def playing(self) -> bool:
-        """Whether a run was asked for and has not ended; `Session.played` is called at its end."""
+        """Whether a run was requested and has not ended; `Session.played` is called at its end."""
 
     def alive(self, side: str) -> bool:
-        """Whether a side measures."""
+        """Whether a side publishes joint states."""
 
     @property
     def analysed(self) -> bool:
@@ -154,20 +154,20 @@ class RigAccess(Protocol):
         """Plays on every side and records one bag per side in `folder`."""
 
     def stop(self) -> None:
-        """Has the run end early."""
+        """Ends the run early."""
 
     def load(self, model: Path) -> None:
-        """Has the simulation run a model; `Session.loaded` is called with the answer."""
+        """Loads a model into the simulation; `Session.loaded` is called with the answer."""
 
     def publish(self, verdict: dict[str, Any], report: str) -> None:
-        """Tells everybody the content of a diagnosis.json."""
+        """Publishes the content of a diagnosis.json and sends it to all pages."""
 
 
 class Session:
-    """Takes requests from any thread and does them in the one that calls `look`.
+    """Takes requests from any thread and carries them out in the one that calls `look`.
 
     Args:
-        out: folder in which monitor-N is made once something is to be kept.
+        out: folder in which monitor-N is made as soon as something is to be kept.
         model: name or path of the model to diagnose where the simulation reports no file.
         candidates: effects to consider in a diagnosis; none for all.
 
@@ -200,7 +200,7 @@ class Session:
         """Takes a request; may be called from any thread.
 
         Raises:
-            InputError: a value that cannot be moved now. Such requests do not wait for the next look: a slider is
+            InputError: a value that cannot be varied now. Such requests do not wait for the next look: a slider is
                 expected to follow at once.
         """
         match request:
@@ -208,13 +208,13 @@ class Session:
                 self._reruns.end()
             case WhatIfRequest(name, value):
                 if self._rig.playing:
-                    raise InputError("Wait until the run has ended: a simulation beside it would disturb it.")
+                    raise InputError("Wait until the run has ended: a simulation at the same time would disturb it.")
                 self._reruns.ask(name, value)
             case _:
                 self._requests.put(request)
 
     def look(self, pages: int) -> None:
-        """Does what was asked for and what follows from work that ended; `pages` are open. To be called often."""
+        """Carries out requests and follow-ups of finished jobs; `pages` are open. To be called often."""
         if ended := self._work.ended():
             self._worked(*ended)
         while not self._requests.empty():
@@ -253,7 +253,7 @@ class Session:
         self._state.note(message, "info" if success else "error")
 
     def close(self) -> None:
-        """Interrupts work under way."""
+        """Interrupts the current job."""
         self._work.close()
         self._reruns.close()
 
@@ -262,7 +262,7 @@ class Session:
         return self._steps.file or self._given_model
 
     def _move_values(self) -> None:
-        """The values of the model that runs now, over the last run, can be moved."""
+        """Offers the values of the running model to be varied on the last run."""
         try:
             self._reruns.use(tuple(map(Path, self._bags)), self._model)
         except InputError as error:
@@ -295,13 +295,13 @@ class Session:
         if not self._armed:
             raise InputError("Arm the rig first: playing moves it.")
         if not self._rig.ready:
-            raise InputError("Nobody plays. Start `ros2 run eps_tunnel_analysis player`.")
+            raise InputError("No player is running. Start `ros2 run eps_tunnel_analysis player`.")
         # A path that came over the wire is not looked up: what is offered is all there is.
         if request.sequence not in self._offered:
             raise InputError(unknown_name("sequence", request.sequence, self._offered))
-        found = find_sequence(request.sequence)
-        self._sequence, self._began = found.name, time.monotonic()
-        self.progress(0, (request.trials or found.trials) * len(found.commands), "connecting", 0.0, 0.0, 0.0)
+        sequence = find_sequence(request.sequence)
+        self._sequence, self._began = sequence.name, time.monotonic()
+        self.progress(0, (request.trials or sequence.trials) * len(sequence.commands), "connecting", 0.0, 0.0, 0.0)
         self._reruns.end()
         self._rig.play(request.sequence, request.trials, self._new("play"))
 
@@ -309,17 +309,17 @@ class Session:
         """Bags and model to work with."""
         self._refuse_when_busy()
         if not self._bags:
-            raise InputError("Play a sequence first: the bags of the last run are what is diagnosed.")
+            raise InputError("Play a sequence first: the diagnosis uses the bags of the last run.")
         if not self._model:
             raise InputError("The simulation does not report its model's file. Name it: `-p model:=...`.")
         return tuple(map(Path, self._bags)), self._model
 
     def _refuse_when_busy(self) -> None:
         if self._rig.playing or self._work.kind or self._loading:
-            raise InputError("Wait until what is under way has ended, or stop it.")
+            raise InputError("Wait until the current job has ended, or stop it.")
 
     def _new(self, kind: str, name: str = "") -> Path:
-        """A path that nothing has yet, in a folder of this session."""
+        """An unused path in a folder of this session."""
         if self._folder is None:
             self._folder = numbered_folder(self._out, "monitor", "`-p folder:=...`")
         self._made[kind] += 1
@@ -349,16 +349,16 @@ class Session:
         self._rig.publish(content, str(self.reports[number]))
 
     def _offer(self) -> None:
-        """Shows the sequences that can be chosen: those that diagnoses proposed, and all that have a name."""
+        """Shows the sequences that can be chosen: those proposed by diagnoses, and all named ones."""
         sequences = []
         for name in (*self._experiments, *config.names("sequences")):
             try:
-                found = find_sequence(name)
+                sequence = find_sequence(name)
             except InputError as error:
                 self._state.note(str(error), "error")
                 continue
-            duration = sum(command.duration for command in found.commands)
-            sequences.append((name, found.description, found.trials, duration))
+            duration = sum(command.duration for command in sequence.commands)
+            sequences.append((name, sequence.description, sequence.trials, duration))
         self._offered = tuple(name for name, *_ in sequences)
         names = sorted(n for n, e in self._registry.effects.items() if not e.nameless)
         self._state.put(Choices(tuple(sequences), tuple(names)))
@@ -389,7 +389,7 @@ class Session:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """A value to move over some recordings; `turn` tells whether it was ended meanwhile."""
+    """A value to try on some recordings; `turn` says whether it was ended in the meantime."""
 
     bags: tuple[Path, ...]
     model: str
@@ -399,9 +399,9 @@ class _Wanted:
 
 
 class Reruns:
-    """Simulates the last command of a run again while a value of the model is moved, in a thread of its own.
+    """Simulates the last command of a run again while a value of the model is varied, in a separate thread.
 
-    Of several requests that wait only the newest is done. May be used from any thread.
+    Of several waiting requests only the newest is done. May be used from any thread.
     """
 
     def __init__(self, state: State) -> None:
@@ -416,7 +416,7 @@ class Reruns:
         self._prepared: tuple[tuple[Path, ...], str, WhatIf] | None = None
 
     def use(self, bags: Sequence[Path], model: str) -> None:
-        """From now on it is about these recordings and this model; about nothing where one of them is missing.
+        """Uses these recordings and this model from now on; nothing if one of them is missing.
 
         Raises:
             InputError: the model cannot be read.
@@ -429,28 +429,28 @@ class Reruns:
         self._state.put(Adjustables(offered))
 
     def ask(self, name: str, value: float | None) -> None:
-        """Moves a value, None to what the model has; the answer is shown in the state, a complaint in its log.
+        """Changes a value, None to the model's own; the answer is shown in the state, a complaint in its log.
 
         Raises:
             InputError: nothing is recorded yet, or the name is not offered.
         """
         with self._lock:
             if not self._offered:
-                raise InputError("Play a sequence first: a value is moved over the recordings of the last run.")
+                raise InputError("Play a sequence first: a value is tried on the recordings of the last run.")
             if name not in self._offered:
                 raise InputError(unknown_name("parameter", name, self._offered))
             self._wanted = _Wanted(self._bags, self._model, self._offered[name], value, self._turn)
         self._threads.submit(self._next)
 
     def end(self) -> None:
-        """Shows no answer any more, nor one that is under way."""
+        """Removes the answer, and drops one that is being computed."""
         with self._lock:
             self._wanted = None
             self._turn += 1
             self._state.show_what_if(WhatIfPart(), None)
 
     def close(self) -> None:
-        """Waits until the one under way is done."""
+        """Waits until the current one is done."""
         with self._lock:
             self._wanted = None
         self._threads.shutdown()
@@ -502,7 +502,7 @@ def _part(prepared: WhatIf, changed: WhatIfAnswer | None, wanted: _Wanted, numbe
 
 
 def _table(prepared: WhatIf, changed: WhatIfAnswer | None) -> dict[str, Any]:
-    """The trajectories as `TunnelTable.changes` tells them; beside the changed one that of the model as it is."""
+    """The trajectories in the format of `TunnelTable.changes`; with the changed one also that of the model as it is."""
     tunnel, shown = prepared.tunnel, changed or prepared.given
     values = np.full((*tunnel.mean.shape, 5), np.nan)
     values[..., :SIMULATED] = np.stack([tunnel.mean, *tunnel.bounds()], axis=-1)
@@ -514,5 +514,5 @@ def _table(prepared: WhatIf, changed: WhatIfAnswer | None) -> dict[str, Any]:
     inside = np.where(least.seen, judged, NOT_SEEN).astype(np.int8)
     return {
         "key": "what if", "signals": list(tunnel.signals), "step": tunnel.step, "duration": float(tunnel.time[-1]),
-        "whole": True, "rows": told_rows(range(len(tunnel.time)), values, inside),
+        "whole": True, "rows": table_rows(range(len(tunnel.time)), values, inside),
     }  # fmt: skip

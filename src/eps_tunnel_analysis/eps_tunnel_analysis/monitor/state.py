@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that the page shows, with what changed since when; written by one thread, read by another."""
+"""Everything that the page shows, with its changes; written by one thread, read by another."""
 
 import math
 import threading
@@ -34,7 +34,7 @@ NOT_SEEN, OUTSIDE, INSIDE, COLLECTING = -1, 0, 1, 2
 TUNNEL_TRIALS = 2  # real trials from which a tunnel has a width
 PAST = 20  # trials that can be looked at again
 WINDOW = 10.0  # s over which samples that came late or were lost are counted
-DIGITS = 6  # decimals that are told; a microradian is finer than any screen
+DIGITS = 6  # decimals that are sent; a microradian is finer than any screen
 LOG_LENGTH = 30  # entries of the log
 FIRST = "as given"
 BY_HAND = "loaded by hand"
@@ -43,8 +43,8 @@ BY_HAND = "loaded by hand"
 class TunnelTable:
     """One row per ROW_STEP of the command.
 
-    A row holds mean, lower and upper limit of reality, the simulation, that of the model before, and whether the
-    simulation is inside; COLLECTING while there is one real trial, whose tunnel has no width.
+    A row holds mean, lower and upper limit of reality, the simulation, that of the previous model, and whether the
+    simulation is inside; COLLECTING while there is only one real trial, whose tunnel has no width.
 
     Attributes:
         revision: number that rows written from now on get.
@@ -63,7 +63,7 @@ class TunnelTable:
         self._last = -1
 
     def start(self, key: str, duration: float) -> None:
-        """A trial of a command begins: `key` tells commands apart, `duration` in s, 0 where it makes no sense."""
+        """A trial of a command begins: `key` identifies the command, `duration` in s, 0 if it is not valid."""
         self._last, self._written = -1, False
         duration = duration if 0 < duration <= LONGEST_SHOWN else 0.0
         if key != self._key:
@@ -99,7 +99,7 @@ class TunnelTable:
         self._last = row
 
     def new_model(self) -> None:
-        """The simulation runs another model: what it did so far is kept beside for comparison."""
+        """The simulation runs another model: its results so far are kept for comparison."""
         self._values[:, :, BEFORE] = self._values[:, :, SIMULATED]
         self._values[:, :, SIMULATED] = np.nan
         self._alike[:] = NOT_SEEN
@@ -107,20 +107,20 @@ class TunnelTable:
 
     @property
     def written(self) -> bool:
-        """Whether the trial that began last has brought rows."""
+        """Whether the latest trial has written rows."""
         return self._written
 
     def changes(self, seen: int) -> dict[str, Any] | None:
         """Rows written after revision `seen`; None where there are none.
 
         rows: [row, [mean, lower, upper, simulated, before, inside] of each signal], None where unknown; inside is -1
-        where a value is missing, 2 where one trial alone was there. `whole` says that all rows known before are gone.
+        where a value is missing, 2 where one trial alone was there. `whole` says that all earlier rows are gone.
         """
         rows = np.flatnonzero(self._changed > seen)
         whole = self._began > seen
         if not len(rows) and not whole:
             return None
-        rows_now = told_rows(rows, self._values, self._alike)
+        rows_now = table_rows(rows, self._values, self._alike)
         return {
             "key": self._key, "signals": list(self._signals), "step": ROW_STEP, "duration": self._duration,
             "whole": whole, "rows": rows_now,
@@ -142,7 +142,7 @@ class TunnelTable:
             self._changed = np.concatenate([self._changed, np.full(more, -1, dtype=np.int64)])
 
 
-def told_rows(rows: Iterable[int], values: Array, inside: NDArray[np.int8]) -> list[list[Any]]:
+def table_rows(rows: Iterable[int], values: Array, inside: NDArray[np.int8]) -> list[list[Any]]:
     """[row, [mean, lower, upper, simulated, before, inside] of each signal] of some rows.
 
     Args:
@@ -169,7 +169,7 @@ class State:
         self._what_if: dict[str, Any] | None = None
 
     def put(self, part: Part) -> None:
-        """Replaces the part of this kind; one that says the same as before is no change."""
+        """Replaces the part of this kind; an equal one is no change."""
         with self._lock:
             self._put(part)
 
@@ -182,7 +182,7 @@ class State:
             self._put(Log((*entries, (number, time.time(), level, text))[-LOG_LENGTH:]))
 
     def trial(self, key: str, duration: float) -> None:
-        """A trial of a command begins, as `TunnelTable.start`; what the one before showed can be looked at again."""
+        """A trial of a command begins, as `TunnelTable.start`; the previous one can be looked at again."""
         with self.tunnel() as table:
             whole = table.changes(-1) if table.written else None
             if whole and whole["rows"]:
@@ -201,7 +201,7 @@ class State:
             return self._past.get(number)
 
     def show_what_if(self, part: WhatIfPart, table: dict[str, Any] | None) -> None:
-        """Shows an answer; `table` holds its trajectories as `TunnelTable.changes` tells them, and its "number"."""
+        """Shows an answer; `table` holds its trajectories in the format of `TunnelTable.changes`, and its "number"."""
         with self._lock:
             self._what_if = table
             self._put(part)
@@ -235,7 +235,7 @@ class State:
 
 
 class _Locked:
-    """Lends the table while nobody else reads, and numbers the change."""
+    """Gives exclusive access to the table, and numbers the change."""
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -251,13 +251,13 @@ class _Locked:
 
 
 class RecentHealth:
-    """What went wrong with the samples lately; a bad start is not held against what comes after."""
+    """Recent problems with the samples; a bad start does not count later."""
 
     def __init__(self) -> None:
         self._counts: deque[tuple[float, int, int, int]] = deque()
 
     def at(self, seconds: float, health: Health) -> Health:
-        """The counts with `troubled`: the share of the samples of the last WINDOW that came late or not at all.
+        """The counts with `troubled`: share of the samples of the last WINDOW that came late or not at all.
 
         Args:
             seconds: when they were counted, on a clock that only goes on.
@@ -278,7 +278,7 @@ class Steps:
     """Follows the simulation's model and its gap.
 
     Attributes:
-        model, file: of the model that runs, as the simulation tells them; "" before.
+        model, file: of the running model, as the simulation reports them; "" before.
     """
 
     def __init__(self, state: State) -> None:
@@ -291,11 +291,11 @@ class Steps:
         self.model = self.file = ""
 
     def announce(self, change: str, held_out: float | None) -> None:
-        """What changed the model that will be loaded next, and what it left on samples held out, in the rig's unit."""
+        """How the model that will be loaded next was changed, and its error on held-out samples, in the rig's unit."""
         self._next = (change, held_out)
 
     def runs(self, model: str, file: str, loads: str) -> bool:
-        """The simulation tells its model and how many it loaded so far; returns whether it is another than before."""
+        """The simulation reports its model and how many it has loaded; returns whether the model is a new one."""
         if (model, file, loads) == self._seen:
             return False
         first, self._seen = self._seen is None, (model, file, loads)
@@ -308,11 +308,11 @@ class Steps:
         if not first:
             with self._state.tunnel() as table:
                 table.new_model()
-        self._told()
+        self._publish()
         return True
 
     def trial_started(self) -> None:
-        """Figures that come from now on are those of the model that runs."""
+        """Figures from now on belong to the running model."""
         self._fresh = True
 
     def gap(
@@ -334,15 +334,15 @@ class Steps:
         if self._steps and n and trials >= TUNNEL_TRIALS:
             smallest = min(range(n), key=lambda i: ks[i])
             self._steps[-1] = replace(self._steps[-1], live=self._gap.joint[smallest])
-            self._told()
+            self._publish()
 
     def diagnosed(self, held_out: float | None) -> None:
-        """The running model's error on samples held out, in the rig's unit."""
+        """The running model's error on held-out samples, in the rig's unit."""
         if self._steps:
             self._steps[-1] = replace(self._steps[-1], held_out=held_out)
-            self._told()
+            self._publish()
 
-    def _told(self) -> None:
+    def _publish(self) -> None:
         self._state.put(Staircase(tuple(self._steps)))
 
 

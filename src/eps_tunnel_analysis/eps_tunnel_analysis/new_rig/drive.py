@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which kind of drive a joint's recordings look like, and with which values to begin.
+"""Which kind of drive a joint's recordings suggest, and which values to start from.
 
-Where an effort is recorded the law is read from it: effort = K (target - angle) - C speed, a straight line. Where none
-is, but the joint stays behind its target in proportion to its weight, the drive gives way as a P control of the duty
-cycle does. Else the answer of a first and of a second order to the commands are fitted, and the better one decides.
+If an effort is recorded, the law is fitted to it: effort = K (target - angle) - C speed, which is linear. If none
+is, but the joint stays behind its target in proportion to its weight, the drive sags like a P control of the duty
+cycle. Otherwise a first-order and a second-order response to the commands are fitted, and the better one decides.
 """
 
 from collections.abc import Sequence
@@ -27,10 +27,12 @@ BETTER = 0.8  # of the first order's error, at most, for the second to be worth 
 LARGEST_P = 25.0  # 1/s, of velocity_pid's P
 DELAYS = (0.0, 0.01, 0.02, 0.03, 0.05)  # s
 ROUND = 3  # digits of proposed values
-INERTIA = 0.4  # share of the effort's variance that the model's own inverse dynamics explains, for its unit to be told
+INERTIA = (
+    0.4  # share of the effort's variance that the model's own inverse dynamics explains, for its unit to be inferred
+)
 DUTY_GAIN = 0.01  # 1/rad; only its product with kp is known
 STALL = 3.0  # times the largest load of gravity, that full duty gives
-SAMPLES_OF_A_LAW = 20  # samples that tell a law
+SAMPLES_OF_A_LAW = 20  # samples that are enough for a law
 UNSEEN = 5.0  # times the largest effort, of a limit that the recordings do not show
 ROOM = 2.0  # of a drive's torque over what the recorded motion needs
 SAME_UNIT = 1.33  # times what it gives, up to which the effort is in that unit
@@ -51,7 +53,7 @@ class DriveProposal:
 
     Attributes:
         gains: kp of each recording, of a drive by duty cycle.
-        factor: N m (N) that one of the recorded unit of effort stands for, where that is open and the law tells it.
+        factor: N m (N) per recorded unit of effort, where it is not stated and the law determines it.
     """
 
     kind: str
@@ -103,8 +105,8 @@ def effort_unit(robot: Robot, joint: str, samples: Sequence[Sampled], scale: flo
 
 
 def _damped(samples: Sequence[Sampled], scale: float, zero: float) -> str:
-    """Why an effort is all that turns the joint: it is a law of error and speed that damps as the joint's motion is
-    damped; "" where it is not. A duty leaves out what the motor's own voltage damps.
+    """Why an effort is the whole torque on the joint: it is a law of error and speed that damps as the joint's motion
+    is damped; "" if it is not. A duty does not include the damping by back-EMF.
     """
     share, k, c, _ = _laws(samples, scale, zero)
     if share <= 0.0 or c <= 0.0:
@@ -114,13 +116,13 @@ def _damped(samples: Sequence[Sampled], scale: float, zero: float) -> str:
     if not 1.0 / SAME_UNIT < c / k / moved < SAME_UNIT:
         return ""
     return (
-        f"a straight law of error and speed explains {share:.0%} of it, and damps the joint as it moves: damping over "
+        f"a linear law of error and speed explains {share:.0%} of it, and damps the joint as it moves: damping over "
         f"stiffness is {c / k:.3g} s in the law and {moved:.3g} s in the motion"
     )
 
 
 def _inverse(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float]:
-    """How much of the effort the torque that the motion needs explains, and times what."""
+    """Share of the effort that is explained by the torque needed for the motion, and the factor between them."""
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     at = robot.mj.joint(joint)
     need, have = [], []
@@ -148,7 +150,7 @@ def _inverse(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float,
 
 
 def _needed(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> float:
-    """N m (N) that the recorded motion takes but for a hundredth of its time, by the model's inertia and weight."""
+    """N m (N) that the recorded motion needs in 99 % of the time, by the model's inertia and weight."""
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     at = robot.mj.joint(joint)
     inertia, _ = inertia_of(robot, joint)
@@ -165,7 +167,7 @@ def _needed(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, 
 
 
 def derivatives(s: Sampled, scale: float, zero: float) -> tuple[Array, Array, Array]:
-    """Position, speed and acceleration in SI, smoothed over some 50 ms."""
+    """Position, speed and acceleration in SI, smoothed over about 50 ms."""
     from scipy.signal import savgol_filter
 
     q = scale * (s.position - zero)
@@ -203,33 +205,37 @@ def propose_drive(
     if unit:
         if straight:
             line = f"{k:.4g} (target - position) {'-' if c > 0 else '+'} {abs(c):.3g} speed"
-            told = f"effort = {line} explains {share:.1%} of it"
+            explanation = f"effort = {line} explains {share:.1%} of it"
             if unit == "duty":
                 gains = tuple(_law([s], scale, zero)[1] / DUTY_GAIN for s in samples)
-                kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {told}")
+                kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {explanation}")
                 values = _duty_values(kp, stall, stall_why, n, rad)
-                return DriveProposal("pwm_servo", f"duty follows the error: {told}", values, unit, unit_why, gains)
+                return DriveProposal(
+                    "pwm_servo", f"duty follows the error: {explanation}", values, unit, unit_why, gains
+                )
             if unit == n:
                 torque = most if limited else 1.2 * most
                 values = {
-                    "stiffness": Proposed(_round(k), f"{n}/{rad}", f"read from the recordings: {told}"),
+                    "stiffness": Proposed(_round(k), f"{n}/{rad}", f"read from the recordings: {explanation}"),
                     "damping": Proposed(_round(max(c, 0.0)), f"{n} s/{rad}", "the same line"),
                     "torque": Proposed(
                         _round(limit if limit and not limited else torque), n,
-                        "the largest recorded effort, where it is cut off" if limited
+                        "the largest recorded effort, where it is clipped" if limited
                         else limit_why or "a fifth beyond the largest recorded effort",
                     ),
                     "delay": Proposed(0.0, "s", "to be fitted"),
                 }  # fmt: skip
-                return DriveProposal("torque_pd", f"effort is a PD law on the error: {told}", values, unit, unit_why)
+                return DriveProposal(
+                    "torque_pd", f"effort is a PD law on the error: {explanation}", values, unit, unit_why
+                )
     else:
         share, gives_way = _yielding(robot, joint, samples, scale, zero)
         if share > YIELDS:
             by = f"{gives_way:.3g} {n}/{rad}"
-            told = f"it gives way to its weight by {by}, which explains {share:.0%} of what speed does not"
+            explanation = f"it sags under its weight by {by}, which explains {share:.0%} of what speed does not"
             kp = Proposed(_round(gives_way / DUTY_GAIN / stall), "1", "so that full duty times it is that")
             values = _duty_values(kp, stall, stall_why, n, rad)
-            return DriveProposal("pwm_servo", told, values, unit, unit_why)
+            return DriveProposal("pwm_servo", explanation, values, unit, unit_why)
     first, second = _orders(samples, scale, zero)
     ratio = second[0] / max(first[0], 1e-300)
     if ratio < BETTER or straight or first[1] > 0.9 * LARGEST_P:
@@ -241,16 +247,17 @@ def propose_drive(
             torque = max(min(asked, ROOM * _needed(robot, joint, samples, scale, zero)), 1.5 * load, 1e-3)
             torque_why = "twice what the recorded motion needs; to be checked against the data sheet"
             if torque == asked:
-                torque_why = "what that stiffness asks for at the largest error; to be checked against the data sheet"
+                torque_why = "the torque of that stiffness at the largest error; to be checked against the data sheet"
         if straight:
             torque = limit or stiffness * most / k * (1.0 if limited else UNSEEN)
             torque_why = limit_why or (
-                "the largest recorded effort in terms of that stiffness, where it is cut off" if limited
-                else f"{UNSEEN:g} times the largest recorded effort in terms of that stiffness, for it is never cut off"
+                "the largest recorded effort in terms of that stiffness, where it is clipped" if limited
+                else f"{UNSEEN:g} times the largest recorded effort in terms of that stiffness, because it is never "
+                "clipped"
             )  # fmt: skip
         why = (
             "its effort is a PD law on the error" if straight
-            else f"a second order answers as recorded with {ratio:.0%} of a first order's error"
+            else f"a second-order response matches the recording with {ratio:.0%} of a first-order response's error"
             if ratio < BETTER else "it follows faster than a speed loop does"
         )  # fmt: skip
         reason = f"inertia {inertia:.3g} at the model's pose times {frequency:.3g} 1/s squared"
@@ -260,25 +267,25 @@ def propose_drive(
                 _round(2.0 * damping * frequency * inertia), f"{n} s/{rad}", f"damping ratio {damping:.2g}"
             ),
             "torque": Proposed(_round(torque), n, torque_why),
-            "delay": Proposed(min(second[3], 0.05), "s", "of that answer"),
+            "delay": Proposed(min(second[3], 0.05), "s", "of that response"),
         }
         factor = stiffness / k if straight else None
         return DriveProposal("torque_pd", why, values, unit, unit_why, factor=factor)
     p = min(first[1], 0.95 * LARGEST_P)
     torque = limit or max(2.0 * load, 10.0 * inertia, 1e-3)
     values = {
-        "p": Proposed(_round(p), "1/s", "of the first order's answer"),
+        "p": Proposed(_round(p), "1/s", "of the first-order response"),
         "i": Proposed(0.0, "1/s^2", "none is seen"),
         "d": Proposed(0.0, "1/s", "none is seen"),
-        "delay": Proposed(min(first[2], 0.05), "s", "of that answer"),
+        "delay": Proposed(min(first[2], 0.05), "s", "of that response"),
         "speed_gain": Proposed(_round(max(20.0 * inertia, 1e-3)), f"{n} s/{rad}", "so that the speed settles in 50 ms"),
         "torque": Proposed(
-            _round(torque), n, limit_why or "enough for the load twice; to be checked against the data sheet"
+            _round(torque), n, limit_why or "enough for twice the load; to be checked against the data sheet"
         ),
     }
     return DriveProposal(
         "velocity_pid",
-        f"a first order answers as recorded; a second leaves {ratio:.0%} of its error",
+        f"a first-order response matches the recording; a second-order one leaves {ratio:.0%} of its error",
         values,
         unit,
         unit_why,
@@ -302,10 +309,10 @@ def _duty_values(kp: Proposed, stall: float, why: str, n: str, rad: str) -> dict
 
 
 def _yielding(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float]:
-    """How much of what else the error leaves the weight explains, and the stiffness with which the drive bears it,
-    N m/rad (N/m): the median of the recordings whose error (target - angle) a straight law explains.
+    """Share of the remaining error that the weight explains, and the stiffness with which the drive carries it,
+    N m/rad (N/m): the median of the recordings whose error (target - angle) a linear law explains.
 
-    error = (inertia acceleration + weight) / K + c speed + f sign(speed): what a P control of the duty cycle leaves.
+    error = (inertia acceleration + weight) / K + c speed + f sign(speed): the error of a P control of the duty cycle.
     """
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     at = robot.mj.joint(joint)
@@ -325,16 +332,16 @@ def _yielding(robot: Robot, joint: str, samples: Sequence[Sampled], scale: float
         others = np.column_stack([inertia * a, v, np.sign(v), np.ones_like(v)])[rows]
         columns = np.column_stack([weight, others])
         slope = float(np.linalg.lstsq(columns, error[rows], rcond=None)[0][0])
-        left, without = (float(np.var(_beside(c, error[rows]))) for c in (columns, others))
-        if slope > 0.0 and left < (1.0 - LAW) * float(np.var(error[rows])):
-            found.append((1.0 - left / without, 1.0 / slope))
+        residual, without = (float(np.var(_beside(c, error[rows]))) for c in (columns, others))
+        if slope > 0.0 and residual < (1.0 - LAW) * float(np.var(error[rows])):
+            found.append((1.0 - residual / without, 1.0 / slope))
     if len(found) < len(samples) / 3:
         return 0.0, 0.0
     return float(np.median([share for share, _ in found])), float(np.median([k for _, k in found]))
 
 
 def _beside(columns: Array, wanted: Array) -> Array:
-    """What a straight law in `columns` leaves of `wanted`."""
+    """Residual of `wanted` after a linear fit in `columns`."""
     return np.asarray(wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0])
 
 
@@ -343,9 +350,9 @@ def _error(samples: Sequence[Sampled], scale: float) -> float:
 
 
 def _laws(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float, float, bool]:
-    """As `_law`, of the recordings one by one, for they may have been made with different gains; a share of 0 unless a
-    third of them show a law, or all of them roughly the same one. Steps alone do not: what is logged at a jump belongs
-    to the time before it. Where ticks are a large part of the error no single recording may.
+    """As `_law`, of the recordings one by one, because they may have been made with different gains; a share of 0
+    unless a third of them show a law, or all of them roughly the same one. Steps alone do not: the sample logged at a
+    jump belongs to the time before it. Where ticks are a large part of the error no single recording may.
     """
     laws = [_law([s], scale, zero) for s in samples]
     good = [law for law in laws if law[0] > LAW and law[1] > 0.0]
@@ -358,7 +365,7 @@ def _laws(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float,
 
 
 def _law(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, float, float, bool]:
-    """Share of the effort explained by K error - C speed, K, C, and whether the effort is cut off at its largest."""
+    """Share of the effort explained by K error - C speed, K, C, and whether the effort is clipped at its largest."""
     rows, efforts = [], []
     for s in samples:
         q, v, _ = derivatives(s, scale, zero)
@@ -374,21 +381,22 @@ def _law(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, 
     limited = float(np.mean(at_most)) > 0.005
     free = ~at_most if limited else np.ones(len(effort), dtype=bool)
     best = np.linalg.lstsq(columns[free], effort[free], rcond=None)[0]
-    left = effort[free] - columns[free] @ best
-    share = 1.0 - float(np.var(left)) / max(float(np.var(effort[free])), 1e-300)
+    residual = effort[free] - columns[free] @ best
+    share = 1.0 - float(np.var(residual)) / max(float(np.var(effort[free])), 1e-300)
     return share, float(best[0]), float(best[1]), limited
 
 
 def _orders(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """(error, P, delay) of the first order's best answer; (error, frequency, damping ratio, delay) of the second's."""
+    """(error, P, delay) of the best first-order response; (error, frequency, damping ratio, delay) of the best
+    second-order response."""
     lively = sorted(samples, key=lambda one: -float(np.nan_to_num(np.nanstd(one.target))))
-    # What saturates, or was switched off, is no straight answer, and slow motion tells no order: the recording tells
-    # in which a second order answers most better than a first; where none does, the one that is answered best.
-    found = [_orders_of(s, scale, zero) for s in lively[:: max(1, len(lively) // ANSWERS)][:ANSWERS]]
-    told = min(found, key=lambda orders: orders[1][0] / max(orders[0][0], 1e-300))
-    if told[1][0] < BETTER * told[0][0]:
-        return told
-    return min(found, key=lambda orders: min(orders[0][0], orders[1][0]))
+    # A saturated or switched-off drive does not respond linearly, and slow motion does not show the order. So take the
+    # recording where a second-order response is better than a first-order one by most, or else the best matched one.
+    fits = [_orders_of(s, scale, zero) for s in lively[:: max(1, len(lively) // ANSWERS)][:ANSWERS]]
+    clearest = min(fits, key=lambda orders: orders[1][0] / max(orders[0][0], 1e-300))
+    if clearest[1][0] < BETTER * clearest[0][0]:
+        return clearest
+    return min(fits, key=lambda orders: min(orders[0][0], orders[1][0]))
 
 
 def _orders_of(s: Sampled, scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot's model and its recordings share: joints by name, actuators, topics, limits, units."""
+"""What a robot's model and its recordings have in common: joints by name, actuators, topics, limits, units."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -29,9 +29,9 @@ class Robot:
 
     Attributes:
         joints: hinge and slide joints by name.
-        actuators: joint -> the actuator that drives it, of those that have one.
-        unnamed: joints whose actuator has no name in the file and is given one here.
-        others: joint -> further actuators on it, which would act beside the drive.
+        actuators: joint -> the actuator that drives it, for joints that have one.
+        unnamed: joints whose actuator has no name in the file and gets one here.
+        others: joint -> further actuators on it, which would act in addition to the drive.
     """
 
     path: Path
@@ -64,7 +64,7 @@ def read_robot(path: Path) -> Robot:
 
 
 def name_actuators(spec: mujoco.MjSpec) -> frozenset[str]:
-    """Gives joints' actuators without a name that of their joint; returns the new names."""
+    """Names unnamed actuators after their joint; returns the new names."""
     taken = {actuator.name for actuator in spec.actuators}
     given = set()
     for actuator in spec.actuators:
@@ -78,7 +78,8 @@ def name_actuators(spec: mujoco.MjSpec) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Topics:
-    """Where joint states and commands are in recordings, and the rig file's `topics` entries where that is unusual."""
+    """Where joint states and commands are in recordings, and the rig file's `topics` entries if they are not the
+    default."""
 
     states: str
     commands: str | None
@@ -109,7 +110,7 @@ def find_topics(recording: Recording) -> Topics:
 
 @dataclass(frozen=True)
 class Match:
-    """One joint of the model and the name that recordings have for it; `why` they are taken for the same."""
+    """One joint of the model and the name that recordings have for it; `why` they are considered the same."""
 
     joint: str
     recorded: str
@@ -123,15 +124,15 @@ def match_joints(
     """Joints of the model that recordings measure and command.
 
     Args:
-        given: joint of the model -> recorded name, as a person said.
+        given: joint of the model -> recorded name, as stated by the user.
 
     Raises:
         InputError: none match, or a given name does not exist; lists both sides.
     """
     recorded, sent = states.joints, commands.joints if commands else ()
-    told = f"The model has {', '.join(robot.joints)}; the recordings measure {', '.join(recorded)}"
+    inventory = f"The model has {', '.join(robot.joints)}; the recordings measure {', '.join(recorded)}"
     wrong = [
-        f"--match {j}={r}: no such pair. {told}."
+        f"--match {j}={r}: no such pair. {inventory}."
         for j, r in given.items()
         if j not in robot.joints or r not in recorded
     ]
@@ -150,22 +151,22 @@ def match_joints(
         if name in robot.joints and name not in pairs:
             pairs[name] = (name, "the same name")
         elif len(alike) == 1:
-            pairs[alike[0]] = (name, f"the same name but for its spelling ({name})")
+            pairs[alike[0]] = (name, f"the same name, spelled differently ({name})")
     if not pairs and len(robot.joints) == len(recorded) == 1:
         pairs[robot.joints[0]] = (recorded[0], "the only joint on either side")
     if not pairs:
-        raise InputError(f"No joint matches by name. {told}. Say which is which by --match JOINT=RECORDED.")
-    found = []
+        raise InputError(f"No joint matches by name. {inventory}. Say which is which by --match JOINT=RECORDED.")
+    matches = []
     for joint in robot.joints:
         if joint in pairs:
             name, why = pairs[joint]
             command = name if name in sent else next((s for s in sent if _plain(s) == _plain(name)), None)
             command = sent[0] if command is None and len(sent) == len(recorded) == 1 else command
             if command is not None:
-                found.append(Match(joint, name, command, why))
-    if not found:
-        raise InputError(f"No measured joint is commanded. Commands are for {', '.join(sent)}. {told}.")
-    return found
+                matches.append(Match(joint, name, command, why))
+    if not matches:
+        raise InputError(f"No measured joint is commanded. Commands are for {', '.join(sent)}. {inventory}.")
+    return matches
 
 
 def _plain(name: str) -> str:

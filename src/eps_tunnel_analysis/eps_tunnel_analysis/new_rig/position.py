@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In which unit a joint's positions are recorded, told from how far they reach where nobody says it."""
+"""In which unit a joint's positions are recorded, inferred from their range where it is not stated."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ DEGREES_MOST = 400.0
 BEYOND_RANGE = 2.0  # of a joint's range in the model; a reach beyond is hardly rad
 SCALES = {"rad": 1.0, "deg": TURN / 360.0, "m": 1.0, "mm": 1e-3}
 TICKS = "ticks"
-NORMALISED = 100.0  # at either end of what LeRobot makes of a joint's range unless told otherwise
+NORMALISED = 100.0  # at either end of what LeRobot makes of a joint's range unless set otherwise
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class PositionUnit:
         scale: rad or m of one recorded unit.
         zero: recorded value at which the joint is at 0.
         entry, speed_entry: how the rig file states it, for a position and a velocity; "" for SI.
-        doubt: what should be seen to, "" where nothing.
+        doubt: what the user should check, "" for nothing.
     """
 
     name: str
@@ -60,11 +60,11 @@ def position_unit(
     Args:
         bounds: (2,) of the joint in the model, rad or m; None where it has none.
         seen, sent: recorded positions and targets, (n,) each.
-        given: as a person said, else told from the reach.
-        ticks: what positions in ticks stand for.
+        given: as the user stated it; otherwise inferred from the range.
+        ticks: how to convert positions in ticks.
 
     Raises:
-        InputError: nothing fits, or what ticks stand for is not said.
+        InputError: nothing fits, or the conversion of ticks is not stated.
     """
     name, why = (given, "as --position-unit says") if given else _told(slides, bounds, seen, sent)
     doubt = "" if slides else _normalised(match.recorded, seen, sent)
@@ -79,10 +79,10 @@ def position_unit(
     if ticks is None:
         raise InputError("--position-unit ticks needs --ticks-per-turn, as 4096, and mostly --zero, as 2048.")
     zero = ticks.zero(match.joint)
-    told = f"ticks_per_turn: {ticks.per_turn:g}"
+    per_turn = f"ticks_per_turn: {ticks.per_turn:g}"
     why += f", {ticks.per_turn:g} a turn and {zero:g} where the joint is at 0"
-    entry = f", unit: ticks, {told}" + (f", zero: {zero:g}" if zero else "")
-    return PositionUnit(TICKS, why, TURN / ticks.per_turn, zero, entry, f", unit: ticks/s, {told}", doubt)
+    entry = f", unit: ticks, {per_turn}" + (f", zero: {zero:g}" if zero else "")
+    return PositionUnit(TICKS, why, TURN / ticks.per_turn, zero, entry, f", unit: ticks/s, {per_turn}", doubt)
 
 
 def _told(slides: bool, bounds: Array | None, seen: Array, sent: Array) -> tuple[str, str]:
@@ -116,11 +116,11 @@ def _whole(seen: Array, sent: Array) -> str:
 
 
 def _normalised(recorded: str, seen: Array, sent: Array) -> str:
-    """A doubt where values end at exactly 100 or -100, as LeRobot's do unless it is told to use degrees; "" else."""
+    """A doubt if values end at exactly 100 or -100, as LeRobot's do unless it is set to use degrees; "" otherwise."""
     if NORMALISED not in (float(np.abs(seen).max()), float(np.abs(sent).max())):
         return ""
     return (
         f"! {recorded} reaches exactly {NORMALISED:g}: is it LeRobot's normalised range, -100 to 100 or 0 to 100 of "
-        "what the joint was calibrated for? That is no angle. Record with use_degrees, or say what it stands for: of a "
-        "joint that turns by R deg from -100 to 100, --position-unit ticks --ticks-per-turn 72000/R."
+        "the joint's calibrated range? That is not an angle. Record with use_degrees, or state the scale: for a joint "
+        "that turns by R deg from -100 to 100, --position-unit ticks --ticks-per-turn 72000/R."
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables that other programs logged, as bags: CSV files whose columns are found by name, and LeRobot datasets."""
+"""Tables logged by other programs, as bags: CSV files whose columns are found by name, and LeRobot datasets."""
 
 import json
 import re
@@ -20,7 +20,7 @@ WORDS = {
     "effort": ("effort", "torque", "current", "load", "duty", "pwm", "tau", "force"),
     "position": ("position", "pos", "angle", "measured", "actual", "state", "q", "y"),
 }
-"""Quantity -> words by which a column is told to hold it, as part of its name."""
+"""Quantity -> words in a column's name by which it is recognised."""
 ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 """name of a column and the place in its lists"""
 LOWEST_FRAME_RATE, HIGHEST_FRAME_RATE = 0.1, 1e5  # Hz, frames of a dataset
@@ -28,10 +28,10 @@ MOST_FRAMES = 1e8  # of a dataset
 
 
 def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tuple[list[Path], list[str]]:
-    """One bag for each CSV file, in a folder, and sentences on what was taken for what.
+    """One bag for each CSV file, in a folder, and sentences on how columns were interpreted.
 
     Args:
-        joints: names of the model's joints, by which columns are told apart; one joint needs no name.
+        joints: names of the model's joints, by which columns are distinguished; one joint needs no name.
 
     Raises:
         InputError: no column of time or of a position; lists the columns.
@@ -40,7 +40,7 @@ def csv_bags(tables: Sequence[Path], joints: Sequence[str], folder: Path) -> tup
     bags = []
     for table in tables:
         columns = _columns(table, joints, notes)
-        csv_to_bag(table, columns, folder / table.stem)  # what it finds odd takes all for rad; units are told later
+        csv_to_bag(table, columns, folder / table.stem)  # what it finds odd takes all for rad; units are inferred later
         bags.append(folder / table.stem)
     return bags, list(dict.fromkeys(notes))
 
@@ -53,62 +53,64 @@ def _columns(table: Path, joints: Sequence[str], notes: list[str]) -> CsvColumns
             f"{table}: no column of time. Expected one named {', '.join(TIME[:4])}; it has {', '.join(numbers)}. "
             "Rename it, or use `eps-tunnel import-csv --time COLUMN`, then --bag."
         )
-    found: dict[str, dict[str, str]] = {quantity: {} for quantity in WORDS}
+    by_quantity: dict[str, dict[str, str]] = {quantity: {} for quantity in WORDS}
     for name in numbers:
         if name == time or _base(name, joints):
             continue
         joint = _joint_of(name, joints)
         if joint is not None:
-            found[_quantity(name, joint)].setdefault(joint, name)
-    _add_lists(table, numbers, joints, found, notes)
-    if not found["position"]:
+            by_quantity[_quantity(name, joint)].setdefault(joint, name)
+    _add_lists(table, numbers, joints, by_quantity, notes)
+    if not by_quantity["position"]:
         raise InputError(
             f"{table}: no column of a position. Expected the joint's name ({', '.join(joints)}), alone or with "
             f"{', '.join(WORDS['position'][:3])}; it has {', '.join(numbers)}. Rename one, or use `eps-tunnel "
             "import-csv --position JOINT=COLUMN`, then --bag."
         )
-    measured = found["position"]
+    measured = by_quantity["position"]
     for quantity in ("velocity", "effort"):
-        found[quantity] = {j: c for j, c in found[quantity].items() if j in measured}
-        if len(found[quantity]) < len(measured):
-            found[quantity] = {}
+        by_quantity[quantity] = {j: c for j, c in by_quantity[quantity].items() if j in measured}
+        if len(by_quantity[quantity]) < len(measured):
+            by_quantity[quantity] = {}
     scale = _clock(numbers[time])
-    told = [f"{quantity} of {j} from column '{c}'" for quantity, by in found.items() for j, c in by.items()]
+    sources = [f"{quantity} of {j} from column '{c}'" for quantity, by in by_quantity.items() for j, c in by.items()]
     unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[scale]
-    notes.append(f"Tables: time from column '{time}' in {unit}; {'; '.join(told)}.")
-    return CsvColumns(time, found["command"], measured, found["velocity"], found["effort"], time_scale=scale)
+    notes.append(f"Tables: time from column '{time}' in {unit}; {'; '.join(sources)}.")
+    return CsvColumns(
+        time, by_quantity["command"], measured, by_quantity["velocity"], by_quantity["effort"], time_scale=scale
+    )
 
 
 def _add_lists(
-    table: Path, columns: Iterable[str], joints: Sequence[str], found: dict[str, dict[str, str]], notes: list[str]
+    table: Path, columns: Iterable[str], joints: Sequence[str], by_quantity: dict[str, dict[str, str]], notes: list[str]
 ) -> None:
-    """Takes columns of lists for what joints have no column of their own for, in the model's order of joints; says
-    so, and which are left out."""
+    """Uses columns of lists for quantities without a column per joint, in the model's order of joints; notes which are
+    used, and which are left out."""
     lists: dict[str, list[str]] = {}
     for name in columns:
         if base := _base(name, joints):
             lists.setdefault(base, []).append(name)
     for name, elements in lists.items():
         quantity = _quantity(name, "")
-        if len(elements) != len(joints) or found[quantity]:
+        if len(elements) != len(joints) or by_quantity[quantity]:
             why = (
-                f"there is another column of a {quantity}" if found[quantity]
-                else f"it has {len(elements)} number{'s' * (len(elements) > 1)} a cell, and the model "
+                f"there is another column of a {quantity}" if by_quantity[quantity]
+                else f"it has {len(elements)} number{'s' * (len(elements) > 1)} per cell, and the model "
                 f"{len(joints)} joint{'s' * (len(joints) > 1)}"
             )  # fmt: skip
             notes.append(
-                f"{table.name}: column '{name}' is left out, for {why}. To use it, say `eps-tunnel import-csv "
+                f"{table.name}: column '{name}' is left out, because {why}. To use it, say `eps-tunnel import-csv "
                 f"--{quantity} JOINT={name}[0]`, then --bag."
             )
             continue
-        found[quantity] = dict(zip(joints, elements, strict=True))
+        by_quantity[quantity] = dict(zip(joints, elements, strict=True))
         order = ", ".join(joints)
         notes.append(f"Column '{name}' is a list, taken in the model's order of joints: {order}. Is that its order?")
 
 
 def _base(column: str, joints: Sequence[str]) -> str:
-    """The name of the list that a column is an element of; "" where it is none, or its place is part of a joint's
-    name, as of q[1] and the joint q1."""
+    """The name of the list that a column is an element of; "" if it is not one, or if its index is part of a joint's
+    name, such as q[1] and the joint q1."""
     listed = ELEMENT.fullmatch(column)
     if not listed or _joint_of(column, joints) != _joint_of(listed[1], joints):
         return ""
@@ -116,7 +118,7 @@ def _base(column: str, joints: Sequence[str]) -> str:
 
 
 def _clock(times: Array) -> float:
-    """s of one unit of a clock: no rig of ours is sampled more slowly than at 1 Hz or faster than at 1 MHz."""
+    """s of one unit of a clock: no rig is expected to be sampled below 1 Hz or above 1 MHz."""
     step = float(np.nanmedian(np.diff(times))) if len(times) > 1 else 1.0
     return 1.0 if step < 1.0 else 1e-3 if step < 1e3 else 1e-6 if step < 1e5 else 1e-9
 
@@ -210,7 +212,7 @@ def lerobot_bags(dataset: Path, folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def _names(feature: Mapping[str, Any]) -> list[str]:
-    """Names of a feature's elements without what they all end in, as `.pos`."""
+    """Names of a feature's elements without their common ending, such as `.pos`."""
     names = feature["names"]
     flat = next(iter(names.values()), ()) if isinstance(names, Mapping) else names
     plain = [str(name).removesuffix(".pos").removesuffix("_pos") for name in flat]
@@ -218,7 +220,8 @@ def _names(feature: Mapping[str, Any]) -> list[str]:
 
 
 def _stacked(column: Any, joints: int) -> Array:
-    """Of N rows: (N,), or (N, joints) of lists. Raises ValueError for what is no number, or lists of another length."""
+    """Of N rows: (N,), or (N, joints) of lists. Raises ValueError for values that are not numbers, or lists of another
+    length."""
     values = np.array(column.to_pylist(), dtype=np.float64)
     if values.shape[1:] != ((joints,) if joints else ()):
         raise ValueError(f"rows of {values.shape[1:]} numbers where {joints or 1} are expected")

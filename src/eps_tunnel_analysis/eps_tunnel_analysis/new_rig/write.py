@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new rig: from a model and recordings to `rig.yaml` and `model.yaml`, a reason beside every value."""
+"""A new rig: from a model and recordings to `rig.yaml` and `model.yaml`, with a reason for every value."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class NewRig:
 
     Attributes:
         model: its file.
-        notes: one sentence each on what was taken for what.
+        notes: one sentence each on how the recordings were interpreted.
         known: rules for --known, where recordings were made with different gains.
     """
 
@@ -78,14 +78,14 @@ def new_rig(
     effort: str | None = None,
     ticks: Ticks | None = None,
 ) -> NewRig:
-    """Writes rig.yaml and model.yaml into a folder, and robot.xml where a joint lacks an actuator with a name or has
+    """Writes rig.yaml and model.yaml into a folder, and robot.xml if a joint lacks a named actuator or has
     several.
 
     Args:
         match: joint of the model -> recorded name.
-        position: unit of recorded positions and targets; told from their reach where None.
-        effort: unit of recorded efforts; told from the model's inverse dynamics where None.
-        ticks: what positions in ticks stand for.
+        position: unit of recorded positions and targets; inferred from their range where None.
+        effort: unit of recorded efforts; inferred from the model's inverse dynamics where None.
+        ticks: how to convert positions in ticks.
 
     Raises:
         InputError: nothing matches, or no recording can be read.
@@ -97,8 +97,8 @@ def new_rig(
     illegal = [m.recorded for m in matches if not WORD.fullmatch(m.recorded)]
     if illegal:
         raise InputError(
-            [f"The joint '{n}' is no legal ROS topic word (letters, digits and single underscores); publish it under "
-             "another name, or import a table with --csv." for n in illegal]
+            [f"The joint '{n}' is not a legal ROS topic word (letters, digits and single underscores); publish it "
+             "under another name, or import a table with --csv." for n in illegal]
         )  # fmt: skip
     step = sample_time(recordings, topics)
     axes = []
@@ -110,13 +110,13 @@ def new_rig(
     write_new(folder / "rig.yaml", _rig_text(robot, mjcf, axes, step, topics, recordings))
     write_new(folder / "model.yaml", _model_text(robot, axes, recordings))
     notes = [*(note for a in axes for note in _found(a)), *changed]
-    left = [j for j in robot.joints if j not in [a.match.joint for a in axes]]
-    notes += [f"Not driven here, as no recording commands it: {', '.join(left)}."] if left else []
+    undriven = [j for j in robot.joints if j not in [a.match.joint for a in axes]]
+    notes += [f"Not driven here, because no recording commands it: {', '.join(undriven)}."] if undriven else []
     return NewRig(folder / "model.yaml", tuple(notes), tuple(_known(axes, recordings)))
 
 
 def _found(a: AxisProposal) -> list[str]:
-    """What an axis was taken for."""
+    """How an axis was interpreted."""
     effort = f" Its effort is in {a.drive.effort}: {a.drive.effort_why}." if a.drive.effort else ""
     return [
         *([a.unit.doubt] if a.unit.doubt else []),
@@ -218,8 +218,8 @@ def _robot_file(robot: Robot, joints: Sequence[str], folder: Path) -> tuple[Path
         for joint in unnamed
     ]
     notes += [
-        f"Joint {joint} has more than one actuator. Its drive acts by {robot.actuators[joint]}; {', '.join(names)} "
-        f"would act beside it and is switched off in robot.xml (group {OFF_GROUP}, which its option "
+        f"Joint {joint} has more than one actuator. Its drive uses {robot.actuators[joint]}; {', '.join(names)} "
+        f"would act in addition and is switched off in robot.xml (group {OFF_GROUP}, which its option "
         "'actuatorgroupdisable' names)."
         for joint, names in others.items()
     ]

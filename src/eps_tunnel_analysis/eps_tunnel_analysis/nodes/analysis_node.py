@@ -61,7 +61,7 @@ class DiagnoseServer:
         return self._goals.busy
 
     def close(self) -> None:
-        """Waits for the end of what runs; `node.stopping` calls it off."""
+        """Waits for the end of the current job; `node.stopping` cancels it."""
         self._goals.close()
 
     def _work(self, handle: Handle) -> None:
@@ -113,16 +113,16 @@ class AnalysisNode(TunnelNode):
         ks = self.parameter("ks", list(KS), "Factors by which the real tunnel is widened", "1")
         k_sim = self.parameter("k_sim", 1.0, "Factor by which the simulated tunnel is widened", "1", 0, 1000)
         smoothed = self.parameter("smoothed", True, "Smooth the tunnel over 11 samples, equation 12")
-        rate = self.parameter("rate", 0.0, "Samples a second of the grid on which both sides are compared; 0: as many "
-                              "as the simulation's rig has, and 100 without one", "Hz", 0, 1000)  # fmt: skip
+        rate = self.parameter("rate", 0.0, "Samples per second of the grid on which both sides are compared; 0: the "
+                              "rate of the simulation's rig, or 100 without one", "Hz", 0, 1000)  # fmt: skip
         max_gap = self.parameter("max_gap", 0.1, "Longest span between measurements that is bridged", "s", 0.001, 10)
         late = self.parameter("late_after", 0.1, "Age at arrival from which a message counts as late", "s", 0.001, 60,
                               changes=True)  # fmt: skip
-        srg_rate = self.parameter("srg_rate", 10.0, "Messages a second on /srg", "Hz", 0.1, 100)
+        srg_rate = self.parameter("srg_rate", 10.0, "Messages per second on /srg", "Hz", 0.1, 100)
         images = self.parameter("images", False, "Record images, too", changes=True)
         self.parameter("connect_timeout", 10.0, "Longest wait of /record for the sides' publishers to be matched", "s",
                        0, 3600, changes=True)  # fmt: skip
-        reference = self.parameter("reference", [""], "Bags of real trials whose tunnels hold from the start")
+        reference = self.parameter("reference", [""], "Bags of real trials whose tunnels apply from the start")
         if not ks or min(ks) < 0 or len(set(ks)) != len(ks):
             self.complain(f"Parameter 'ks': expected different numbers of at least 0, got {list(ks)}.")
         if 0 < rate < LOWEST_RATE:
@@ -200,7 +200,7 @@ class AnalysisNode(TunnelNode):
         return {**units, "ball_x": "m", "ball_y": "m"}
 
     def _received(self, side: str, name: str, topic: str, raw: bytes, arrival: int) -> None:
-        # Recording goes on, whatever anybody sends.
+        # Recording continues, whatever is sent.
         try:
             self._follow(side, name, topic, raw, arrival)
         except InputError as error:
@@ -237,12 +237,12 @@ class AnalysisNode(TunnelNode):
         return tuple(names), np.array(values)
 
     def _gap_at(self, rate: float) -> LiveGap:
-        """A gap without trials but those of the reference. Raises InputError for what is no bag of real trials."""
+        """A gap with only the trials of the reference. Raises InputError for a bag that has no real trials."""
         gap = self._empty_gap(rate=rate)
         if not self._reference:
             return gap
-        found = to_plays(self._reference, namespace="/real", rate=rate, max_gap=self._max_gap)
-        for play, result in zip(found.plays, found.results, strict=True):
+        plays = to_plays(self._reference, namespace="/real", rate=rate, max_gap=self._max_gap)
+        for play, result in zip(plays.plays, plays.results, strict=True):
             if not result.sequence_hash:
                 raise InputError(
                     f"reference: {play.name} has no marks that name a sequence; expected bags with marked trials."
@@ -281,7 +281,7 @@ class AnalysisNode(TunnelNode):
         for batch in batches:
             self._stamp = batch.stamp
             tunnel = batch.real
-            # After a pause many samples are judged at once; the newest tells where things are.
+            # After a pause many samples are judged at once; the newest gives the current state.
             row = len(tunnel.time) - 1
             message = TunnelSample(
                 time=float(tunnel.time[row]), signals=list(tunnel.signals), mean=array("d", tunnel.mean[row]),
@@ -324,7 +324,7 @@ class AnalysisNode(TunnelNode):
             self._numbers[signal].publish(Float64(data=float(figures.shares[row, first])))
 
     async def _matched(self, sides: Sequence[str]) -> list[str]:
-        """Waits until everybody who publishes is heard, and returns who is not, in words."""
+        """Waits until all publishers are matched, and returns those that are not, in words."""
         deadline = time.monotonic() + float(self.get_parameter("connect_timeout").value or 0.0)
         while True:
             self._recorder.look()
@@ -396,7 +396,7 @@ class AnalysisNode(TunnelNode):
         self._counters.publish(message)
         troubled = [topic for topic, c in zip(topics, counts, strict=True) if c.troubled]
         level = DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK
-        text = f"samples went wrong on {', '.join(troubled)}" if troubled else "every sample in its place"
+        text = f"samples went wrong on {', '.join(troubled)}" if troubled else "all samples in order"
         samples = DiagnosticStatus(level=level, name=f"{self.full_name}: samples", message=text)
         for topic, c in zip(topics, counts, strict=True):
             samples.values.append(KeyValue(key=topic, value=str(c)))
@@ -413,7 +413,7 @@ class AnalysisNode(TunnelNode):
 
 
 def _rate_of(file: str) -> float:
-    """Hz, of the rig of a model's file; RATE where there is none that this machine can read."""
+    """Rate, Hz, of the rig of a model's file; RATE if this machine cannot read the file."""
     try:
         return load_model(file).rig.rate if file else RATE
     except InputError:

@@ -12,7 +12,7 @@ from labyrinth_sim.config import typed_path
 
 
 class CalibrateNode(TunnelNode):
-    """Action server calibrate; the fit runs in a process of its own, as that of `eps-tunnel calibrate`."""
+    """Action server calibrate; the fit runs in a separate process, like that of `eps-tunnel calibrate`."""
 
     def __init__(self) -> None:
         super().__init__("calibrate_node")

@@ -31,11 +31,11 @@ CALLBACKS_EACH = 3  # callbacks at each look
 
 
 class TunnelNode(Node):
-    """A node with declared parameters that can be told to stop.
+    """A node with declared parameters that can be asked to stop.
 
     Attributes:
         stopping: set by SIGINT and SIGTERM; long work watches it.
-        exit_code: what the process ends with; set it with `stopping` to end from inside.
+        exit_code: of the process; set it with `stopping` to end from inside.
     """
 
     def __init__(self, name: str) -> None:
@@ -48,10 +48,10 @@ class TunnelNode(Node):
         self, name: str, default: Any, text: str, unit: str = "-", low: float | None = None, high: float | None = None,
         changes: bool = False,
     ) -> Any:  # fmt: skip
-        """Declares a parameter and returns its value; what is wrong with it is kept for `check_parameters`.
+        """Declares a parameter and returns its value; errors are kept for `check_parameters`.
 
         Args:
-            changes: whether it may be set while the node runs; whoever uses it asks for its value anew.
+            changes: whether it may be set while the node runs; its users then read the value again.
         """
         descriptor = ParameterDescriptor(description=f"{text} [{unit}]", read_only=not changes)
         if low is not None and high is not None:
@@ -109,7 +109,7 @@ class TunnelNode(Node):
 
     @property
     def busy(self) -> bool:
-        """True while something must be brought to its end before the process may go."""
+        """True while something must be finished before the process may end."""
         return False
 
     @property
@@ -118,10 +118,10 @@ class TunnelNode(Node):
         return 0.0
 
     def poll(self) -> None:
-        """Looks for what has come outside the executor."""
+        """Handles what has arrived outside the executor."""
 
     def close(self) -> None:
-        """Brings files to their end. Called once, after the last callback."""
+        """Closes files. Called once, after the last callback."""
 
 
 def _polled(node: TunnelNode, executor: SingleThreadedExecutor) -> None:
@@ -193,11 +193,11 @@ ResultT = TypeVar("ResultT")
 
 
 def attempted(what: str, work: Callable[[], ResultT], refused: Callable[[str], ResultT]) -> ResultT:
-    """What some work finds, or what `refused` makes of the reason why it could not be done.
+    """The result of some work, or `refused` of the reason why it could not be done.
 
     Args:
         what: the work in words, as "diagnosis".
-        work: may raise pydantic's ValidationError of a goal that is no task.
+        work: may raise pydantic's ValidationError for an invalid goal.
     """
     try:
         return work()
@@ -210,12 +210,12 @@ def attempted(what: str, work: Callable[[], ResultT], refused: Callable[[str], R
 
 
 class OneGoal:
-    """Takes a goal when nothing is under way, and refuses it otherwise.
+    """Accepts a goal if no other is running, and refuses it otherwise.
 
     Args:
         kind, name: of the action.
-        refusal: what to tell of a goal that is refused.
-        work: does a goal; ends with `handle.execute` of what calls `settle`.
+        refusal: message for a goal that is refused.
+        work: carries out a goal; ends with `handle.execute` of a function that calls `settle`.
     """
 
     def __init__(
@@ -232,11 +232,11 @@ class OneGoal:
 
     @property
     def busy(self) -> bool:
-        """While something is under way."""
+        """While a job is running."""
         return self._working.locked()
 
     def begin(self, work: Callable[[], None]) -> bool:
-        """Does something without a goal, which calls `free` at its end; False where something is under way."""
+        """Starts work without a goal, which calls `free` at its end; False if a job is running."""
         if not self._working.acquire(blocking=False):
             return False
         self._start(work)
@@ -247,7 +247,7 @@ class OneGoal:
         return bool(handle.is_cancel_requested) or self._node.stopping.is_set()
 
     def settle(self, handle: Handle, success: bool) -> None:
-        """Brings a goal to its end, and takes the next one."""
+        """Ends a goal, and accepts the next one."""
         try:
             if success:
                 handle.succeed()
@@ -259,11 +259,11 @@ class OneGoal:
             self.free()
 
     def free(self) -> None:
-        """Takes the next goal."""
+        """Accepts the next goal."""
         self._working.release()
 
     def close(self) -> None:
-        """Waits for the end of what is under way; `node.stopping` calls it off."""
+        """Waits for the end of the current job; `node.stopping` cancels it."""
         self._server.destroy()
         if self._thread is not None:
             self._thread.join()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole loop on an emulated rig that hides something: gap, where, why, add, and the gap again."""
+"""The whole loop on an emulated rig with a hidden effect: gap, where, why, add, and the gap again."""
 
 import argparse
 import os
@@ -27,12 +27,12 @@ from labyrinth_sim.model import load_model
 from labyrinth_sim.whole_file import write_new
 
 LEAST_PRINTED = 0.01  # probabilities below are not printed
-ALIKENESS = "Alikeness is the share of time in which it stays inside what {} real trials spanned, k times as wide."
+ALIKENESS = "Alikeness is the share of time in which it stays within k times the spread of {} real trials."
 HIDDEN, NOTHING = "gravity_load.y=medium", "none"
 
 
 def walk(rig: EmulatedRig, plan: Plan, folder: Path) -> Path:
-    """Runs the rig and goes once round the loop into an empty folder; returns the report's path."""
+    """Runs the rig and one iteration of the loop, into an empty folder; returns the report's path."""
     model = load_model(plan.model)
     say = console().print
     say(f"Demo into {folder}: bags, models, logs and reports.", soft_wrap=True)
@@ -54,7 +54,7 @@ def walk(rig: EmulatedRig, plan: Plan, folder: Path) -> Path:
                         soft_wrap=True,
                     )
                     print_comparison(step.gap.comparison, step.gap.notes)
-                    _title("2. Why: each effect of the library is fitted to what the simulation leaves over")
+                    _title("2. Why: each effect of the library is fitted to the remaining error")
                 case Reason():
                     reason = step
                     _show(reason)
@@ -94,9 +94,9 @@ def _show(reason: Reason) -> None:
 
 
 def _what_to_do(added: Added, reason: Reason, bags: Bags, model: str) -> str:
-    """What the demo does about it, honest about verdicts that name nothing."""
+    """What the demo does about it, also if the verdict names nothing."""
     if not added.words:
-        return "nothing is added, for nothing is named; the model's own values are refitted."
+        return "nothing is added, because nothing was named; the model's own values are refitted."
     by_hand = next_commands(added.addition.effects, reason.recorded, bags.real, model, reason.folder)[1]
     careful = f" A careful experimenter plays {reason.folder / 'next_experiment.yaml'} first, as eps-tunnel improve " \
         "--live does." if added.why and reason.diagnosis.experiment else ""  # fmt: skip
@@ -110,8 +110,8 @@ def _fall(before: Gap, after: Gap) -> str:
     verb = f"fell by {change:.0%}" if change > 0 else f"rose by {-change:.0%}"
     k1 = [f"{100 * min(gap.alikeness.items())[1]:.1f} %" for gap in (before, after)]
     return (
-        f"On a fresh play the error {verb} against the model as given, from {old} to {new}; alikeness at k = 1 went "
-        f"from {k1[0]} to {k1[1]}{of_rig(after.itself)}."
+        f"On a fresh play the error {verb} compared with the model as given, from {old} to {new}; alikeness at k = 1 "
+        f"went from {k1[0]} to {k1[1]}{of_rig(after.itself)}."
     )
 
 
@@ -127,7 +127,7 @@ def parser() -> argparse.ArgumentParser:
                    f"(default: {HIDDEN}); `ros2 run labyrinth_hw testbed --list` lists them")  # fmt: skip
     p.add_argument("--sequence", default="excite_12s", help="name or path of the sequence (default: %(default)s)")
     p.add_argument("--trials", type=_count, default=3, metavar="N",
-                   help="how often it is played each time (default: %(default)s)")  # fmt: skip
+                   help="trials per play (default: %(default)s)")  # fmt: skip
     p.add_argument("--model", default="labyrinth_mx64", help="name or path of the model (default: %(default)s)")
     p.add_argument(
         "--testbed", default="healthy", metavar="CONFIG", help="config/testbed/*.yaml (default: %(default)s)"

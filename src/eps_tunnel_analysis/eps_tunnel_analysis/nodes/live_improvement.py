@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop over ROS: on the nodes that run, or on an emulated rig of its own."""
+"""The loop over ROS: on the running nodes, or on its own emulated rig."""
 
 import math
 import os
@@ -31,14 +31,14 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 
 PATIENCE = 90.0  # s, for a node to appear; a busy machine takes its time
-CANCEL = 10.0  # s, for the player to end after it was told to
+CANCEL = 10.0  # s, for the player to end after it was asked to
 
 
 class RigClient:
-    """A rig whose nodes run. Ctrl-C while it plays makes the player stop and close its bags.
+    """A rig whose nodes are running. Ctrl-C while it plays makes the player stop and close its bags.
 
     Args:
-        watch: called several times a second while waiting; raises where waiting has become pointless.
+        watch: called several times a second while waiting; raises if waiting has become pointless.
     """
 
     def __init__(self, watch: Callable[[], None] = lambda: None) -> None:
@@ -51,10 +51,10 @@ class RigClient:
         self._verdicts = self._node.create_publisher(Diagnosis, "srg/diagnosis", latched())
 
     def play(self, sequence: str, trials: int, folder: Path) -> Bags:
-        """Plays a sequence, by name or path, on both sides, with a bar; one bag a side into `folder`.
+        """Plays a sequence, by name or path, on both sides, with a bar; one bag per side into `folder`.
 
         Raises:
-            RigFailed: with the player's own words.
+            RigFailed: with the player's message.
         """
         self._appear(self._player.server_is_ready, "the player (/play_sequence)")
         goal = PlaySequence.Goal(sequence=sequence, trials=trials, record=True, folder=str(folder.resolve()))
@@ -81,7 +81,7 @@ class RigClient:
         return Bags(*(tuple(bag for bag in bags if bag.name.endswith(f"_{side}")) for side in ("real", "sim")))
 
     def load(self, model: Path) -> None:
-        """Has the running simulation take over a model file. Raises RigFailed with the simulation's own words."""
+        """Loads a model file into the running simulation. Raises RigFailed with the simulation's message."""
         self._appear(self._loader.service_is_ready, "the simulation (/sim/load_model)")
         answer = self._await(self._loader.call_async(LoadModel.Request(model=str(model.resolve()))))
         if not answer.success:
@@ -93,8 +93,8 @@ class RigClient:
         answer = self._await(self._limits.call_async(GetParameters.Request(names=["limit_deg"])))
         return math.radians(answer.values[0].double_value)
 
-    def tell(self, content: Mapping[str, Any], report: Path) -> None:
-        """Publishes a verdict, as diagnosis.json holds it, on /srg/diagnosis."""
+    def publish(self, content: Mapping[str, Any], report: Path) -> None:
+        """Publishes a verdict, in the form of diagnosis.json, on /srg/diagnosis."""
         message = diagnosis_message(content, str(report.resolve()))
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._verdicts.publish(message)
@@ -137,13 +137,13 @@ def improve(
 
     Args:
         folder: must not exist.
-        emulated: name or path of a config/testbed file, or None to join the nodes that run.
+        emulated: name or path of a config/testbed file, or None to use the running nodes.
         hidden: effects to hide in the emulated rig; the seed of its noise is that of the plan's diagnoses.
         say: called with a line for each entry of the notebook.
 
     Raises:
         InputError: bad input, before anything moves.
-        RigFailed: the rig, or a node of it, ended. The notebook is whole then, as after Ctrl-C.
+        RigFailed: the rig, or a node of it, ended. The notebook is complete then, as after Ctrl-C.
     """
     model, seed = load_model(plan.model), plan.search.seed
     try:
@@ -175,10 +175,10 @@ def improve(
 
 @contextmanager
 def rig_over_ros(emulated: EmulatedRig | None, model: str, folder: Path) -> Iterator[RigClient]:
-    """A rig to play on, until the end of the block: the nodes that run, or an emulated rig with its own.
+    """A rig to play on, until the end of the block: the running nodes, or an emulated rig with its own.
 
     Raises:
-        InputError: the testbed refuses what it was given.
+        InputError: the testbed refuses its input.
         RigFailed: a process of the emulated rig ended.
     """
     if emulated is None:

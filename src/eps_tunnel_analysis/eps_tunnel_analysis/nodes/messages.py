@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages: stamps, a verdict, and subscriptions that are looked at now and then."""
+"""Messages: stamps, a verdict, and polled subscriptions."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -28,12 +28,12 @@ def deep() -> QoSProfile:
 
 
 def measured(depth: int) -> QoSProfile:
-    """For measurements of which one may be lost; hears reliable and best-effort publishers alike."""
+    """For measurements of which one may be lost; matches reliable and best-effort publishers alike."""
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def latched() -> QoSProfile:
-    """For one value that those who come later get too."""
+    """For one value that later subscribers get too."""
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -53,8 +53,8 @@ def to_time(ns: int) -> Time:
 
 
 def diagnosis_message(content: Mapping[str, Any], report: str) -> Diagnosis:
-    """What diagnosis.json holds as a message without stamp. Errors are those of the model as given, and with what is
-    named; NaN for the latter where nothing is."""
+    """The content of diagnosis.json as a message without stamp. Errors are those of the model as given, and with the
+    named effects; NaN for the latter if none is named."""
 
     def number(key: str, named: bool = True) -> float:
         value = content[key] if named else None
@@ -80,7 +80,7 @@ def diagnosis_message(content: Mapping[str, Any], report: str) -> Diagnosis:
 
 
 class PolledGroup(CallbackGroup):
-    """Of subscriptions that no executor waits for."""
+    """Callback group of subscriptions that no executor waits for."""
 
     def can_execute(self, entity: object) -> bool:
         return False
@@ -93,7 +93,7 @@ class PolledGroup(CallbackGroup):
 
 
 class PolledTopic:
-    """One topic; its depth says how much is kept between two looks."""
+    """One topic; its depth says how much is kept between two polls."""
 
     def __init__(self, node: Node, kind: Any, name: str, qos: QoSProfile, group: PolledGroup) -> None:
         # Each event handler is one thing more that the executor waits for.
@@ -103,5 +103,5 @@ class PolledTopic:
         )
 
     def take(self) -> Iterator[Any]:
-        """Messages that came since the last look, oldest first."""
+        """Messages that came since the last poll, oldest first."""
         return waiting(self._subscription)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serves the page to watch, and does what it is asked for there."""
+"""Serves the web page, and carries out its requests."""
 
 import argparse
 import signal
@@ -51,7 +51,7 @@ ANALYSIS_SILENT = 4.0  # s
 
 
 class Inputs:
-    """Takes what came since the last look and shows it.
+    """Takes what came since the last poll and shows it.
 
     Attributes:
         duration: s, of the command whose trial began last.
@@ -80,16 +80,16 @@ class Inputs:
         self.own_verdict = -1  # ns, stamp of the verdict that this node published
 
     def alive(self, side: str) -> bool:
-        """Whether a side measures."""
+        """Whether a side publishes joint states."""
         return side in self._poses and time.monotonic() - self._poses[side][0] < SILENT
 
     @property
     def analysed(self) -> bool:
-        """Whether the analysis node is there."""
+        """Whether the analysis node is running."""
         return time.monotonic() - self._heard < ANALYSIS_SILENT
 
     def take(self) -> bool:
-        """Returns whether the simulation runs another model than before."""
+        """Returns whether the simulation has changed its model."""
         changed = False
         for model in self._models.take():
             changed |= self._steps.runs(model.name, model.file, str(model.loaded))
@@ -142,10 +142,10 @@ class Inputs:
                 )  # fmt: skip
 
     def _fits(self, message: Any, whether: Callable[[Any], bool]) -> bool:
-        """Whether the parts of a message belong together; another than ours may have sent it."""
+        """Whether the parts of a message are consistent; a foreign node may have sent it."""
         fits = whether(message)
         if not fits:
-            text = f"Left out a {type(message).__name__} whose numbers are not as many as its signals ask for."
+            text = f"Ignored a {type(message).__name__} whose arrays do not have as many numbers as it has signals."
             self._logger.warning(text, throttle_duration_sec=1.0)
         return fits
 
@@ -188,7 +188,7 @@ def _health(counters: LiveCounters) -> Health:
 
 
 def _verdict(message: Diagnosis, model: str) -> VerdictPart:
-    """The verdict of somebody else."""
+    """A verdict of another node."""
     pairs = zip(message.candidates, message.probabilities, strict=False)
     return VerdictPart(
         verdict=message.verdict, sentence=message.sentence, effects=tuple(message.effects),
@@ -203,7 +203,7 @@ class PlayerClient:
     """One run at a time.
 
     Attributes:
-        playing: whether one was asked for and has not ended.
+        playing: whether one was requested and has not ended.
     """
 
     def __init__(
@@ -218,25 +218,25 @@ class PlayerClient:
 
     @property
     def ready(self) -> bool:
-        """Whether the player is there."""
+        """Whether the player is running."""
         return bool(self._client.server_is_ready())
 
     def play(self, sequence: str, trials: int, folder: Path) -> None:
-        """Plays and records; the end is told to `ended`."""
+        """Plays and records; calls `ended` at the end."""
         self.playing, self._handle, self._stop = True, None, False
         goal = PlaySequence.Goal(sequence=sequence, trials=trials, record=True, folder=str(folder))
         future: Any = self._client.send_goal_async(goal, feedback_callback=lambda m: self._progress(m.feedback))
         future.add_done_callback(self._answered)
 
     def stop(self) -> None:
-        """Has the run end early."""
+        """Ends the run early."""
         self._stop = True
         if self._handle is not None:
             self._handle.cancel_goal_async()
 
     def lost(self) -> None:
-        """The player went away; its run will not be told to have ended."""
-        self._end(PlaySequence.Result(success=False, message="The player went away while it played."))
+        """The player disappeared; the end of its run will not be reported."""
+        self._end(PlaySequence.Result(success=False, message="The player disappeared while it was playing."))
 
     def _answered(self, future: Any) -> None:
         handle = future.result()
@@ -256,15 +256,15 @@ class PlayerClient:
 
 
 class SimulationClient:
-    """Has the simulation run another model."""
+    """Loads another model into the simulation."""
 
     def __init__(self, node: Node) -> None:
         self._client = node.create_client(LoadModel, "sim/load_model")
 
     def load(self, model: Path, answered: Callable[[bool, str], None]) -> None:
-        """`answered` gets whether it does, and the simulation's words."""
+        """`answered` gets whether it does, and the simulation's message."""
         if not self._client.service_is_ready():
-            answered(False, f"Nobody offers {self._client.service_name}. The model is in {model}.")
+            answered(False, f"No node offers {self._client.service_name}. The model is in {model}.")
             return
         future: Any = self._client.call_async(LoadModel.Request(model=str(model)))
         future.add_done_callback(lambda f: answered(f.result().success, f.result().message))
@@ -278,10 +278,10 @@ class Monitor(TunnelNode):
         self._processes = processes
         host = self.parameter("host", "127.0.0.1", "Address to listen on")
         port = self.parameter("port", 8765, "Port to listen on; 0 takes a free one", "-", 0, 65535)
-        token = self.parameter("token", "", "To be shown by every page; empty: a new one at each start")
+        token = self.parameter("token", "", "Token that every page must present; empty: a new one at each start")
         ask_token = self.parameter("ask_token", True, "False lets every program of this machine drive the rig")
         folder = self.parameter("folder", "out", "Where monitor-N is made, for bags, diagnoses and models")
-        model = self.parameter("model", "", "Model to diagnose; empty: the file that the simulation tells")
+        model = self.parameter("model", "", "Model to diagnose; empty: the file that the simulation reports")
         candidates = self.parameter("candidates", [""], "Effects to consider in a diagnosis; empty: all") or []
         candidates = [name for name in candidates if name]
         if not ask_token and not is_loopback(host):
@@ -317,7 +317,7 @@ class Monitor(TunnelNode):
 
     @property
     def ready(self) -> bool:
-        """Whether the player is there."""
+        """Whether the player is running."""
         return self._player.ready
 
     @property
@@ -327,27 +327,27 @@ class Monitor(TunnelNode):
 
     @property
     def analysed(self) -> bool:
-        """Whether the analysis node is there."""
+        """Whether the analysis node is running."""
         return self._inputs.analysed
 
     def alive(self, side: str) -> bool:
-        """Whether a side measures."""
+        """Whether a side publishes joint states."""
         return self._inputs.alive(side)
 
     def play(self, sequence: str, trials: int, folder: Path) -> None:
-        """Has the player play and record."""
+        """Starts a run with recording."""
         self._player.play(sequence, trials, folder)
 
     def stop(self) -> None:
-        """Has the player end the run early."""
+        """Ends the player's run early."""
         self._player.stop()
 
     def load(self, model: Path) -> None:
-        """Has the simulation run a model."""
+        """Loads a model into the simulation."""
         self._simulation.load(model, self._session.loaded)
 
     def publish(self, verdict: dict[str, Any], report: str) -> None:
-        """Publishes a verdict for those who come later, too."""
+        """Publishes a verdict, also for later subscribers."""
         message = diagnosis_message(verdict, report)
         message.header.stamp = self.get_clock().now().to_msg()
         self._inputs.own_verdict = nanoseconds(message.header.stamp)
@@ -377,10 +377,10 @@ class Monitor(TunnelNode):
         elif now - self._player_seen > PLAYER_GONE:
             self._player.lost()
         if self.stopping.is_set() and self._player.playing:
-            self._player.stop()  # nobody could stop it any more
+            self._player.stop()  # it could not be stopped any more
 
     def _check_processes(self) -> None:
-        """Tells once of a process of the emulated rig that ended."""
+        """Reports once that a process of the emulated rig has ended."""
         try:
             if self._processes is not None:
                 self._processes.check()
@@ -401,14 +401,14 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="monitor",
         description="Serves a page that shows rig and simulation while they run, with buttons to play, diagnose "
-        "and add. Joins the nodes that run; with --emulated it starts a rig of its own.",
+        "and add. Uses the running nodes; with --emulated it starts its own rig.",
         epilog="Parameters, after --ros-args -p NAME:=VALUE: host, port, token, ask_token, folder, model, candidates.",
     )
     p.add_argument("--emulated", nargs="?", const="healthy", metavar="CONFIG", help="start an emulated rig of "
                    "config/testbed and config/hw (default: healthy), simulation, analysis and player")  # fmt: skip
     own = p.add_argument_group("with --emulated")
     own.add_argument("--hide", action="append", default=[], metavar="NAME[.AXIS][=STRENGTH]",
-                     help="hide one more effect in the rig; ? draws one, told at the end")  # fmt: skip
+                     help="hide one more effect in the rig; ? picks one at random, revealed at the end")  # fmt: skip
     own.add_argument("--sim", default="labyrinth_mx64", metavar="M", help="model of the simulation (default: "
                      "%(default)s)")  # fmt: skip
     own.add_argument("--video", action="store_true", help="emulate the camera, too; takes most of a processor core")

@@ -19,7 +19,7 @@ class ClockJumped(Exception):
 
 
 def both_clocks(nanoseconds: Callable[[], int]) -> tuple[float, int]:
-    """The monotonic clock (s) and another (ns) at one moment; a pair that something came between is read again."""
+    """The monotonic clock (s) and another (ns) at one moment; a pair that was interrupted is read again."""
     for _ in range(TRIES):
         before = time.monotonic()
         other = nanoseconds()
@@ -33,13 +33,13 @@ class Pace:
 
     Args:
         clock: of the node, whose time stamps what is sent.
-        simulated: whether it follows /clock. A run then goes as fast as that clock does, and stands while it stands.
+        simulated: whether it follows /clock. A run then follows that clock, and pauses with it.
     """
 
     def __init__(self, clock: Clock, simulated: bool) -> None:
         self._clock, self.simulated = clock, simulated
         self._ticked = threading.Event()
-        if simulated:  # told of every message on /clock
+        if simulated:  # called on every message on /clock
             any_change = JumpThreshold(
                 min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
             )
@@ -64,7 +64,7 @@ class Pace:
         """Sleeps until a moment of the run's clock, s.
 
         Args:
-            check: called now and then while a simulated clock is waited for; raises to give up.
+            check: called repeatedly while waiting for a simulated clock; raises to give up.
 
         Raises:
             ClockJumped: the simulated clock went back.

@@ -26,7 +26,7 @@ from labyrinth_sim.errors import InputError
 
 FEEDBACK = 0.2  # s between two reports of progress
 TAIL = 0.3  # s of recording after each trial, so that its last sample has a neighbour to interpolate with
-REPEATS = 3  # times a trial is begun anew after a stall of this process
+REPEATS = 3  # times a trial is restarted after a stall of this process
 STALE = 10.0  # s between the stamps of a side and the player's clock from which both cannot be meant to be one
 MOST_TRIALS = 100_000  # of each command; the parameter's bound, which the reference reads as it stands
 RECORD_TIMEOUT = 60.0  # s; a slow disk and a busy machine need some to close a bag
@@ -44,7 +44,7 @@ class Progress:
 
 
 class ProgressBar:
-    """A bar on stderr, from 0 to 100 %; where that is no terminal, a line at each change of phase."""
+    """A bar on stderr, from 0 to 100 %; if that is not a terminal, a line at each change of phase."""
 
     def __init__(self) -> None:
         self._told = ""
@@ -103,17 +103,17 @@ class RunEnded(Exception):
 
 
 class Run:
-    """Where a run is: its clock, its progress, whether it must stop. Times are s of its clock.
+    """State of a run: its clock, its progress, whether it must stop. Times are s of its clock.
 
     Attributes:
-        hopeless: tells why the run cannot go on, or nothing.
+        hopeless: says why the run cannot go on, or nothing.
     """
 
     def __init__(
-        self, sequence: Sequence, trials: int, pace: Pace, tell: Callable[[Progress], None],
+        self, sequence: Sequence, trials: int, pace: Pace, report: Callable[[Progress], None],
         stopped: Callable[[], bool],
     ) -> None:  # fmt: skip
-        self._tell, self._stopped, self.pace = tell, stopped, pace
+        self._report, self._stopped, self.pace = report, stopped, pace
         self.hopeless: Callable[[], str] = lambda: ""
         # A first guess of 2.5 s between trials; later the run's own pace counts.
         self._work = [command.duration + 2.5 for command in sequence.commands for _ in range(trials)]
@@ -151,7 +151,7 @@ class Run:
         within = min(now - self._trial_began, self._work[min(self.trial, self.trials - 1)])
         share = min(1.0, (done + within) / total) if self.trial < self.trials else 1.0
         pace = spent / (done + within) if self.trial and done + within > 0 else 1.0
-        self._tell(
+        self._report(
             Progress(min(self.trial, self.trials - 1), self.trials, self.phase, share, (1 - share) * total * pace)
         )
 
@@ -170,7 +170,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run; bags: paths of what was recorded, also of a run that ended early."""
+    """Result of a run; bags: paths of what was recorded, also of a run that ended early."""
 
     success: bool
     message: str
@@ -178,7 +178,7 @@ class Outcome:
 
 
 class Stalled(RunEnded):
-    """This process was not served for so long that the commands of the trial were not those of the sequence."""
+    """This process got no processor time for so long that the commands of the trial differ from the sequence."""
 
 
 class SequencePlayer:
@@ -200,17 +200,17 @@ class SequencePlayer:
 
     def play(
         self, sequence: Sequence, trials: int, record: bool, folder: str,
-        tell: Callable[[Progress], None], stopped: Callable[[], bool],
+        report: Callable[[Progress], None], stopped: Callable[[], bool],
     ) -> Outcome:  # fmt: skip
         """Plays every command of the sequence `trials` times (0: as it says); one bag per side and command.
 
-        Raises InputError for what is wrong before anything moves.
+        Raises InputError before anything moves.
         """
         self.check(sequence)
         trials = trials or sequence.trials
         if trials > MOST_TRIALS:
             raise InputError(f"{trials} trials of each command; expected at most {MOST_TRIALS}.")
-        run = Run(sequence, trials, self._pace, tell, stopped)
+        run = Run(sequence, trials, self._pace, report, stopped)
         bags: list[str] = []
         for side in self._sides:
             side.target = None
@@ -231,13 +231,13 @@ class SequencePlayer:
         return Outcome(
             True,
             f"Played {sequence.name}: {run.trials} trials on {', '.join(side.name for side in self._sides)}. "
-            f"Commands were {np.median(late):.2f} ms late in the middle, {np.percentile(late, 99):.2f} ms at 99 %, "
+            f"Commands were {np.median(late):.2f} ms late in the median, {np.percentile(late, 99):.2f} ms at 99 %, "
             f"{late.max():.2f} ms at most.",
             tuple(bags),
         )
 
     def _connect(self, command: Command, run: Run) -> None:
-        """Waits until every side listens and tells where its joints are."""
+        """Waits until every side listens and publishes joint states."""
         deadline = time.monotonic() + self.limits.connect_timeout
         while missing := [reason for side in self._sides if (reason := self._missing(side, command))]:
             if time.monotonic() > deadline:
@@ -246,16 +246,16 @@ class SequencePlayer:
             time.sleep(0.02)
 
     def _clock_gone(self) -> str:
-        """Why a simulated clock will not go on; empty where it may, as after a pause."""
+        """Why a simulated clock will not continue; empty if it may, as after a pause."""
         gone = [side for side in self._sides if self._pace.simulated and not side.measured]
-        return f"{gone[0].name} fell silent: nobody publishes {gone[0].topics[1]} any more." if gone else ""
+        return f"{gone[0].name} fell silent: nothing publishes {gone[0].topics[1]} any more." if gone else ""
 
     def _missing(self, side: RigSide, command: Command) -> str:
         commands, states = side.topics
         if not self._pace.nanoseconds():
             return "No time on /clock, which use_sim_time:=true asks for."
         if not side.listeners:
-            return f"Nobody listens to {commands}."
+            return f"Nothing subscribes to {commands}."
         if side.silence > self.limits.silence:
             return f"No joint states on {states}."
         if side.stamp and abs(ahead := side.stamp - self._pace.nanoseconds() * 1e-9) > STALE:
@@ -278,7 +278,7 @@ class SequencePlayer:
             self._recorder.stop(self.limits.connect_timeout, RECORD_TIMEOUT)
 
     def _whole_trial(self, command: Command, number: int, run: Run) -> None:
-        """A trial; one that a stall spoiled is marked as given up and begun anew."""
+        """A trial; one that was spoiled by a stall is marked as aborted and restarted."""
         for repeat in range(REPEATS + 1):
             try:
                 self._trial(command, number, run)
@@ -286,7 +286,7 @@ class SequencePlayer:
             except Stalled as stall:
                 if repeat == REPEATS:
                     raise
-                self._log.warning(f"Trial {number + 1} of {command.name} is given up and begun anew: {stall}")
+                self._log.warning(f"Trial {number + 1} of {command.name} is aborted and started again: {stall}")
 
     def _trial(self, command: Command, number: int, run: Run) -> None:
         initial = np.array(command.initial)
@@ -343,10 +343,10 @@ class SequencePlayer:
         grid: Grid | None = None,
         done: int = 0,
     ) -> Grid:
-        """Sends row after row to each side, one a tick; returns the ticks' grid.
+        """Sends row after row to each side, one per tick; returns the ticks' grid.
 
         Ticks are those of a new grid that begins now, or of a given one after its first `done`. They are absolute, so
-        that a late tick does not move those after it; rows whose time passed meanwhile are left out, as a held command
+        that a late tick does not move those after it; rows whose time has passed are left out, as a held command
         would be. With `strict` more than `Limits.stall` of them are too many.
         """
         if grid is None:
@@ -374,14 +374,14 @@ class SequencePlayer:
             due = grid.newest(self._pace.now()) - done
             if strict and due - step - 1 > self.limits.stall * self.rate:
                 raise Stalled(
-                    f"the player was not served for {(due - step) / self.rate:.2f} s; the machine is too busy. Close "
-                    "other programs, or raise `stall_timeout`."
+                    f"the player got no processor time for {(due - step) / self.rate:.2f} s; the machine is too busy. "
+                    "Close other programs, or raise `stall_timeout`."
                 )
             step = max(step + 1, due)
         return grid
 
     def _check_silence(self, now: float, run: Run) -> None:
-        """Raises Ended when a side fell silent while this process could have heard it."""
+        """Raises Ended if a side fell silent while this process could have received from it."""
         if now - run.awake > self.limits.stall:
             for side in self._sides:
                 side.excuse(now)
@@ -394,7 +394,7 @@ class SequencePlayer:
 
 
 def _free_path(namespace: str, name: str) -> Path:
-    """out/NAMESPACE/NAME-N with the first N from 1 that is free; the recorder makes it once it records."""
+    """out/NAMESPACE/NAME-N with the first free N from 1; the recorder creates it."""
     number = 1
     while (folder := Path("out") / namespace / f"{name.replace('/', '_')}-{number}").exists():
         number += 1

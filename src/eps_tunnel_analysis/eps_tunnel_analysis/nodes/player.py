@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays an action sequence on the rig and on its simulation at once, from one clock."""
+"""Plays an action sequence on the rig and on its simulation simultaneously, from one clock."""
 
 import math
 import sys
@@ -30,7 +30,7 @@ class Player(TunnelNode):
         self._folder = self.parameter("folder", "", "Folder for the bags, at autostart; empty: a new one under out/")
         sides = self.sides()
         number = self.parameter
-        number("rate", 100.0, "Commands a second", "Hz", 1, 1000, changes=True)
+        number("rate", 100.0, "Commands per second", "Hz", 1, 1000, changes=True)
         number("limit_deg", 5.0, "Largest target angle in either direction", "deg", 0, 180, changes=True)
         number("return_speed_deg", 20.0, "Speed on the way to the start", "deg/s", 0.1, 1000, changes=True)
         number("rest_time", 0.5, "How long a side must be still to be at rest", "s", 0.05, 60, changes=True)
@@ -39,7 +39,7 @@ class Player(TunnelNode):
         number("silence_timeout", 1.0, "Longest silence of joint states", "s", 0.02, 60, changes=True)
         number("connect_timeout", 10.0, "Longest wait for sides and recorder to appear", "s", 0.1, 3600, changes=True)
         number(
-            "stall_timeout", 0.1, "Longest pause within a trial before it is begun anew", "s", 0.02, 10, changes=True
+            "stall_timeout", 0.1, "Longest pause within a trial before it is started again", "s", 0.02, 10, changes=True
         )
         self.check_parameters()
         pace = Pace(self.get_clock(), bool(self.get_parameter("use_sim_time").value))
@@ -82,13 +82,13 @@ class Player(TunnelNode):
     def _play_goal(self, handle: Handle) -> None:
         goal: PlaySequence.Goal = handle.request
 
-        def tell(progress: Progress) -> None:
+        def report(progress: Progress) -> None:
             feedback = PlaySequence.Feedback(trial=progress.trial, trials=progress.trials, phase=progress.phase)
             feedback.progress, feedback.time_left = progress.share, progress.time_left
             handle.publish_feedback(feedback)
 
         outcome = self._run(
-            goal.sequence or self._sequence, goal.trials or self._trials, goal.record, goal.folder, tell,
+            goal.sequence or self._sequence, goal.trials or self._trials, goal.record, goal.folder, report,
             lambda: self._goals.stopped(handle),
         )  # fmt: skip
         result = PlaySequence.Result(success=outcome.success, message=outcome.message, bags=list(outcome.bags))
@@ -105,22 +105,22 @@ class Player(TunnelNode):
         trials: int,
         record: bool,
         folder: str,
-        tell: Callable[[Progress], None],
+        report: Callable[[Progress], None],
         stopped: Callable[[], bool],
     ) -> Outcome:
-        # What was set meanwhile counts from this run on.
+        # Parameters set since the last run apply from this run on.
         self._play.rate, self._play.limits = self._value("rate"), self._limits()
         for rig in self._rigs:
             rig.rest = self._rest_watch()
         try:
             if not name:
                 raise InputError("No sequence named. Give the name or the path of one as the goal's `sequence`.")
-            outcome = self._play.play(find_sequence(name), trials, record, folder, tell, stopped)
+            outcome = self._play.play(find_sequence(name), trials, record, folder, report, stopped)
         except InputError as error:
             outcome = Outcome(False, str(error), ())
         except Exception as error:  # a thread that died silently would leave the player busy for ever
             self.get_logger().error(traceback.format_exc())
-            outcome = Outcome(False, f"The player failed: {error!r}. Its log tells where.", ())
+            outcome = Outcome(False, f"The player failed: {error!r}. See its log.", ())
         self.say(outcome.success, outcome.message)
         return outcome
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records what is published under real/ and sim/ into one bag per side, as it comes: serialised, nothing decoded.
 
-A topic is heard with the quality of service that its publishers offer, as rosbag2 does it, unless a parameter fixes it.
+A topic is received with the quality of service that its publishers offer, as in rosbag2, unless a parameter sets it.
 """
 
 import importlib
@@ -38,7 +38,7 @@ from eps_tunnel_analysis.recording.writer import BagWriter, RecordingError
 from labyrinth_msgs.msg import BallEvent, BallState, RunningModel, Trial
 from labyrinth_sim.errors import InputError, unknown_name
 
-# Subscribed from the start; whatever else appears under a side's namespace is found while the node runs.
+# Subscribed from the start; other topics under a side's namespace are found while the node runs.
 TOPICS: Mapping[str, Any] = {
     "joint_commands": JointState,
     "joint_states": JointState,
@@ -51,7 +51,7 @@ NOT_MEASURED = ("joint_commands", "trial")  # what the player publishes; a side 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 TAKE_PERIOD = 0.01  # s between two looks at what has come; a wake-up per message takes several times the processor
 DEPTH = 1000  # messages; enough for some seconds in which this process is not scheduled
-DISCOVERY = 3.0  # s; a participant tells of itself as often, so that a node of this age knows those who are there
+DISCOVERY = 3.0  # s; participants announce themselves this often, so that a node of this age knows all others
 QUIET = 0.5  # s without new ends of topics after which all are taken to know each other
 LIBRARIES = ("eps_tunnel_analysis", "labyrinth_sim", "labyrinth_hw", "mujoco", "rosbags", "numpy")
 
@@ -69,13 +69,13 @@ class _Topic:
         name: within the side, e.g. `joint_states`.
         full: name after remapping, as in the bag.
         kind, type: message class, and its name.
-        profile: what it is heard with.
+        profile: of its subscription.
         fixed: policies that parameters fix.
-        latched: of each publisher, the messages that it keeps for those who come later, with their publish times, ns.
+        latched: of each publisher, the messages that it keeps for later subscribers, with their publish times, ns.
         count: messages in the running recording.
-        ends: identifiers of the publishers that the subscription can hear.
+        ends: identifiers of the publishers that match the subscription.
         reached: publishers that are matched.
-        heard: whether anything came since the last subscription.
+        heard: whether anything arrived since the last subscription.
     """
 
     side: str
@@ -97,7 +97,7 @@ class _Topic:
 class Recorder:
     """One raw subscription per topic; messages go to the side's bag and to `listen(side, name, topic, CDR, arrival)`.
 
-    Somebody has to call `take` every TAKE_PERIOD, and `look` once a second; before `start`, both until nothing is
+    The caller must call `take` every TAKE_PERIOD, and `look` once a second; before `start`, both until nothing is
     `missing` and all is `settled`.
 
     Args:
@@ -174,15 +174,16 @@ class Recorder:
             self._note(topic, ends)
 
     def missing(self, sides: Sequence[str]) -> list[str]:
-        """What a recording that began now would not hear though somebody publishes it, or is expected to, in words.
+        """What a recording that began now would not receive although it is published, or expected, in words.
 
-        A side that is named is expected to measure; without names any may, as long as this node is too young to know.
+        A named side is expected to publish joint states; without names any side may, while this node is too young to
+        know.
 
         Args:
             sides: as for `start`. Call `look` before.
         """
         expected = sides or (self._prefixes if time.monotonic() < self._began + DISCOVERY else ())
-        absent = [f"{prefix} (nobody measures there)" for side, prefix in self._prefixes.items()
+        absent = [f"{prefix} (no joint states there)" for side, prefix in self._prefixes.items()
                   if side in expected and not self._measures(side)]  # fmt: skip
         deaf = [
             f"{topic.full} ({len(topic.ends) - topic.reached} of {len(topic.ends)} publishers)"
@@ -194,8 +195,8 @@ class Recorder:
 
     @property
     def settled(self) -> bool:
-        """Whether nothing new was seen for so long that publishers know this node's subscriptions in turn, and what
-        they keep for those who come later has come."""
+        """Whether nothing new was seen for so long that the publishers also know this node's subscriptions, and the
+        messages that they keep for later subscribers have arrived."""
         return time.monotonic() - self._changed > QUIET
 
     def check(self, sides: Sequence[str]) -> None:
@@ -209,7 +210,7 @@ class Recorder:
         """One new bag per side, folder/LABEL_SIDE.
 
         Args:
-            sides: those to record; those that measure now if empty.
+            sides: those to record; if empty, those that publish joint states now.
 
         Raises:
             InputError: one exists, another recording runs, or there is nothing to record.
@@ -218,8 +219,8 @@ class Recorder:
         sides = [side for side in self._prefixes if (side in sides if sides else self._measures(side))]
         if not sides:
             raise InputError(
-                f"Nobody measures under {' or '.join(self._prefixes.values())}. Start the node of a side, or name "
-                "`sides` to record what will come."
+                f"No joint states under {' or '.join(self._prefixes.values())}. Start the node of a side, or give "
+                "`sides` to wait for them."
             )
         paths = {side: folder / f"{label}_{side}" for side in sides}
         taken = [str(path) for path in paths.values() if os.path.lexists(path)]
@@ -248,7 +249,7 @@ class Recorder:
         return self.bags
 
     def stop(self) -> list[str]:
-        """Closes the bags, with all that came until now, and returns their paths; `errors` tells what they lack."""
+        """Closes the bags, with all that came until now, and returns their paths; `errors` says what they lack."""
         self.take()
         bags, writers = self.bags, self._writers
         self._writers = {}
@@ -265,13 +266,12 @@ class Recorder:
     def _why_silent(self, topic: _Topic) -> str:
         ends = self._node.get_publishers_info_by_topic(topic.full)
         if not ends:
-            return (
-                "nobody publishes there. Start that side's node, check namespace and ROS_DOMAIN_ID, or remap the topic."
-            )
+            return "nothing publishes there. Start its node, check namespace and ROS_DOMAIN_ID, or remap the topic."
         heard = f"{topic.profile.reliability.name}, {topic.profile.durability.name}".lower()
         names = ", ".join(f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends)
         return (
-            f"{names} published nothing that a subscription with {heard} hears; see `ros2 topic info -v {topic.full}`."
+            f"{names} published nothing that a subscription with {heard} receives; see `ros2 topic info -v "
+            f"{topic.full}`."
         )
 
     def _measures(self, side: str) -> bool:
@@ -292,7 +292,7 @@ class Recorder:
     def _add(self, side: str, name: str, kind: Any) -> None:
         fixed = overridden(self._node, self._node.resolve_topic_name(name))
         profile = hears_all(offered(self._node, self._node.resolve_topic_name(name)), DEPTH)
-        # A parameter is there where its policy is fixed; of the others no parameter could tell the truth.
+        # A parameter is there where its policy is fixed; for the others no parameter would be correct.
         subscription = self._subscribe(kind, name, profile, [*SIZES, *(set(fixed) - set(SIZES))])
         type_ = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
         self._changed = time.monotonic()
@@ -407,7 +407,7 @@ def _received(info: MessageInfo) -> int:
 
 
 def ros_distro() -> str:
-    """The ROS release that runs, e.g. `kilted`; empty where it cannot be told."""
+    """The ROS release that runs, e.g. `kilted`; empty if it is not known."""
     if distro := os.environ.get("ROS_DISTRO"):
         return distro
     names = (re.fullmatch(r"ros-([a-z]+)-rclpy", d.metadata["Name"] or "") for d in distributions())
@@ -415,13 +415,13 @@ def ros_distro() -> str:
 
 
 def _versions(distro: str) -> dict[str, str]:
-    found = {"python": platform.python_version(), "ros": distro}
+    versions = {"python": platform.python_version(), "ros": distro}
     for library in LIBRARIES:
         try:
-            found[library] = version(library)
+            versions[library] = version(library)
         except PackageNotFoundError:
             continue
-    return {f"version.{key}": value for key, value in found.items() if value}
+    return {f"version.{key}": value for key, value in versions.items() if value}
 
 
 def offered(node: Node, topic: str) -> list[QoSProfile]:
@@ -453,7 +453,7 @@ def overridden(node: Node, topic: str) -> dict[QoSPolicyKind, Any]:
 
 
 def as_in_bags(profile: QoSProfile) -> Qos:
-    """A publisher's profile as metadata.yaml tells it."""
+    """A publisher's profile in the format of metadata.yaml."""
 
     def time(nanoseconds: int) -> QosTime:
         return QosTime(*divmod(min(nanoseconds, FOR_EVER), 10**9))

@@ -30,7 +30,7 @@ ACKNOWLEDGED = 5.0  # s to wait for the last messages to arrive
 QUIET = 0.5  # s without new subscribers after which all are taken to be known
 NAMED = 2.0  # s to wait for the name of a node whose publisher is known already
 MESSAGE_TYPE = re.compile(r"[A-Za-z]\w*/msg/[A-Z]\w*", re.ASCII)
-NAMELESS = "_NODE_NAME_UNKNOWN_"  # as rmw tells it
+NAMELESS = "_NODE_NAME_UNKNOWN_"  # as rmw reports it
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _illegal(name: str) -> str:
         return "topic name must not contain NUL"
     try:
         validate_full_topic_name(name)
-    except InvalidTopicNameException as error:  # its further lines show the name, whatever that does to a terminal
+    except InvalidTopicNameException as error:  # its further lines show the name, which may contain control characters
         return str(error).split("\n")[0].removeprefix("Invalid topic name: ").rstrip(":")
     return ""
 
@@ -144,7 +144,7 @@ def _classes(kinds: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _wait(node: Node, publishers: Sequence[Publisher], longest: float) -> None:
-    """Until every topic but /clock has a subscriber, all that are known are reached, and nobody more comes."""
+    """Until every topic but /clock has a subscriber, all known ones are matched, and no more appear."""
     began = changed = time.monotonic()
     seen: list[int] = []
     while (now := time.monotonic()) - began < longest:
@@ -159,18 +159,18 @@ def _wait(node: Node, publishers: Sequence[Publisher], longest: float) -> None:
 
 
 def _refuse_others(node: Node, topics: Sequence[str]) -> None:
-    """A rig must not get recorded commands, nor an analysis two measurements at once."""
+    """A rig must not get recorded commands, and an analysis must not get two measurements at once."""
     # One publisher of each topic is this node's. Others' are known before the names of their nodes.
     deadline = time.monotonic() + NAMED
     while True:
-        found = {topic: node.get_publishers_info_by_topic(topic) for topic in topics}
-        found = {topic: infos for topic, infos in found.items() if len(infos) > 1}
-        named = all(info.node_name != NAMELESS for infos in found.values() for info in infos)
+        publishers = {topic: node.get_publishers_info_by_topic(topic) for topic in topics}
+        publishers = {topic: infos for topic, infos in publishers.items() if len(infos) > 1}
+        named = all(info.node_name != NAMELESS for infos in publishers.values() for info in infos)
         if named or time.monotonic() > deadline:
             break
         time.sleep(0.02)
     complaints = []
-    for topic, infos in found.items():
+    for topic, infos in publishers.items():
         full = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
         others = {name for name in full if name != node.get_fully_qualified_name() and NAMELESS not in name}
         complaints.append(

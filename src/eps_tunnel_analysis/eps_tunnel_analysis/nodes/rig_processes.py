@@ -64,7 +64,7 @@ class EmulatedRig:
 
     Attributes:
         testbed, hw: names or paths of config/testbed and config/hw files.
-        hidden: effects hidden in it beside those of the file, `NAME[.AXIS][=STRENGTH]`; "?" draws one.
+        hidden: effects hidden in it in addition to those of the file, `NAME[.AXIS][=STRENGTH]`; "?" draws one.
         seed: of its noise, and of the draw.
         video: whether its camera shows board and ball, which takes most of a processor core.
     """
@@ -80,14 +80,14 @@ class EmulatedRig:
 def rig_processes(rig: EmulatedRig, model: str, folder: Path) -> Iterator[Processes]:
     """Runs testbed, hw_node, sim_node, analysis_node and player until the end of the block.
 
-    This process joins their domain: its own nodes see them and no other rig hears it.
+    This process joins their domain: its own nodes see them and no other rig receives from it.
 
     Args:
         model: of the simulation, a name or a path.
         folder: receives logs/ and hidden.json, what the testbed hides.
 
     Raises:
-        InputError: the testbed refuses what it was given.
+        InputError: the testbed refuses its input.
         ProcessDied: it ended for another reason.
     """
     logs = folder / "logs"
@@ -114,8 +114,8 @@ def rig_processes(rig: EmulatedRig, model: str, folder: Path) -> Iterator[Proces
 def hidden_in(folder: Path) -> list[dict[str, Any]]:
     """What the testbed hid beyond its ordinary faults: effect, axis, strength, values of each."""
     path = folder / "hidden.json"
-    found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["hidden"] if path.exists() else []
-    return found
+    hidden: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["hidden"] if path.exists() else []
+    return hidden
 
 
 def hidden_in_words(hidden: Sequence[Mapping[str, Any]]) -> str:

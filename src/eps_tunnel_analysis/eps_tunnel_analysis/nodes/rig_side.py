@@ -39,12 +39,12 @@ class RecordClient:
     ) -> tuple[str, ...]:
         """Paths of the bags that are now recorded, one per side.
 
-        Args:
-            appears, timeout: longest wait for who records, and for the answer, s.
-            check: called now and then while who records is waited for; raises to give up.
+                Args:
+                    appears, timeout: longest wait for the recorder, and for its answer, s.
+                    check: called repeatedly while waiting for the recorder; raises to give up.
 
-        Raises:
-            InputError: nobody records.
+                Raises:
+        InputError: no recorder is running.
         """
         label = command.name.replace("/", "_")
         return self._call(
@@ -72,8 +72,8 @@ class RecordClient:
         while not self._client.service_is_ready():
             if time.monotonic() > deadline:
                 raise InputError(
-                    f"Nobody records: the service {self._client.service_name} did not appear within {appears:g} s. "
-                    "Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
+                    f"No recorder is running: the service {self._client.service_name} did not appear within "
+                    f"{appears:g} s. Start `ros2 run eps_tunnel_analysis analysis_node`, or play without recording."
                 )
             check()
             time.sleep(RECORDERS_PERIOD)
@@ -91,7 +91,7 @@ class RecordClient:
 class RigSide:
     """Commands and trial marks to one side, and its joint states back.
 
-    Measurements are heard as best effort, which any publisher offers; commands and marks are sent reliably.
+    Measurements are received as best effort, which any publisher offers; commands and marks are sent reliably.
 
     Attributes:
         name: `real` or `sim`.
@@ -136,11 +136,11 @@ class RigSide:
 
     @property
     def measured(self) -> bool:
-        """Whether anybody publishes joint states."""
+        """Whether joint states have a publisher."""
         return self._node.count_publishers(self._states.topic_name) > 0
 
     def excuse(self, now: float) -> None:
-        """Starts the silence anew at `now`, s of the run's clock: until then this process could not listen."""
+        """Restarts the silence at `now`, s of the run's clock: until then this process could not listen."""
         if math.isfinite(self._heard):
             self._heard = max(self._heard, now)
 

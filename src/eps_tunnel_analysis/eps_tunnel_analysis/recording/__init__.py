@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: written so that a crash costs a second, read as they are, brought onto one time grid."""
+"""Bags: written so that a crash loses at most a second, read as they are, resampled onto one time grid."""
 
 from eps_tunnel_analysis.recording.channel_map import ChannelMap, Source, channel_map, guessed_map
 from eps_tunnel_analysis.recording.csv_import import CsvColumns, csv_to_bag

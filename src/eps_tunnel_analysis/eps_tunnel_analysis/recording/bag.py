@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bag: the serialised messages of a recording, by topic, as they lie on disk; those of ROS 1 as ROS 2 would have them.
+"""Bag: the serialised messages of a recording, by topic, as stored on disk; those of ROS 1 as in ROS 2.
 
-A folder with metadata.yaml was closed by its recorder and must be whole. A folder without it was never closed (the
-recorder was killed), and so is a lone .mcap file without a footer: those are read up to their last whole chunk.
+A folder with metadata.yaml was closed by its recorder and must be complete. A folder without it was never closed (the
+recorder was killed), and so is a lone .mcap file without a footer: those are read up to their last complete chunk.
 
-A file whose recorder was killed has no index, so records are walked rather than looked up; a whole file is read the
-same way, which for long recordings is also several times faster than message by message in time order.
+A file whose recorder was killed has no index, so records are read in order rather than looked up; a complete file is
+read the same way, which for long recordings is also several times faster than message by message in time order.
 """
 
 import struct
@@ -68,14 +68,14 @@ class RawTopic:
 
 @dataclass
 class McapFile:
-    """What is whole in one file.
+    """The intact part of one file.
 
     Attributes:
         topics: by name; messages in the order of the file.
         metadata: of all metadata records except rosbag2's own.
         complete: whether the file was read up to its proper end.
         fault: where and why reading ended before that.
-        allowance: bytes that its chunks may still become.
+        allowance: bytes that its chunks may still expand to.
     """
 
     allowance: Allowance
@@ -123,7 +123,7 @@ class McapFile:
         self._sinks[channel.id] = topic.log_times.append, topic.messages.append
 
     def add_records(self, data: bytes) -> None:
-        """The records of one uncompressed chunk. The loop runs once a message, so it does little."""
+        """The records of one uncompressed chunk. The loop runs once per message, so it does little."""
         at, end, unpack, is_message, sinks = 0, len(data), MESSAGE_START.unpack_from, int(Opcode.MESSAGE), self._sinks
         while at < end:
             opcode = data[at]
@@ -149,22 +149,22 @@ class TwoTypesError(Exception):
 
 
 def read_mcap(file: Path) -> McapFile:
-    """All that is whole in a file that begins as an MCAP file does. Raises TwoTypesError."""
-    found = McapFile(Allowance.of([file]))
+    """Everything intact in a file that begins like an MCAP file. Raises TwoTypesError."""
+    contents = McapFile(Allowance.of([file]))
     for at, opcode, body in _records(file):
         if opcode == Opcode.FOOTER:
             break
         try:
-            if not found.complete:
-                found.complete = opcode == Opcode.DATA_END
-                found.add_record(opcode, body)
+            if not contents.complete:
+                contents.complete = opcode == Opcode.DATA_END
+                contents.add_record(opcode, body)
             elif opcode == Opcode.CHUNK:
                 raise ValueError("it lies behind the end of the data")
         except TORN as error:
-            found.complete = False
-            found.fault = f"{file.name}: the record at byte {at} is damaged, {error}"
+            contents.complete = False
+            contents.fault = f"{file.name}: the record at byte {at} is damaged, {error}"
             break
-    return found
+    return contents
 
 
 def _records(file: Path) -> Iterator[tuple[int, int, bytes]]:
@@ -180,7 +180,7 @@ def _records(file: Path) -> Iterator[tuple[int, int, bytes]]:
 
 
 class _CheckedMcap(McapReader):
-    """rosbags judges the index, but only of a file whose chunks are whole: it decompresses whatever they declare."""
+    """rosbags checks the index, but only of a file whose chunks are intact: it decompresses whatever they declare."""
 
     def open(self) -> None:
         self.content = read_mcap(Path(str(self.path)))
@@ -250,16 +250,16 @@ def _files(path: Path) -> list[Path]:
 
 
 def _closed(path: Path, source: Path) -> Bag:
-    """A bag that must be whole. rosbags judges index and metadata; it also reads all that is not MCAP."""
+    """A bag that must be complete. rosbags checks index and metadata; it also reads everything that is not MCAP."""
     try:
         if source.is_dir():
             _check_metadata(source)
         with _CheckedReader(source) as reader:
-            told: Any = reader.storage.metadata
+            stored: Any = reader.storage.metadata
             storages: list[Any] = getattr(reader.storage, "storages", [reader.storage])
             allowance = Allowance.of(storage.path for storage in storages)
             parts = [s.content.topics if isinstance(s, _CheckedMcap) else _iterated(s, allowance) for s in storages]
-            if told.compression_mode == "message":
+            if stored.compression_mode == "message":
                 for topic in (topic for part in parts for topic in part.values()):
                     topic.messages = [message_data(message, allowance) for message in topic.messages]
             topics = _merged(path, parts)
@@ -269,8 +269,8 @@ def _closed(path: Path, source: Path) -> Bag:
                 topics.setdefault(c.topic, RawTopic(c.topic, c.msgtype, c.msgdef))
             if not all(isinstance(word, str) for raw in topics.values() for word in (raw.name, raw.type)):
                 raise ValueError("the name or type of a topic is no text")
-            metadata |= {str(key): str(value) for key, value in (told.custom or {}).items()}
-            expected = int(told.message_count)
+            metadata |= {str(key): str(value) for key, value in (stored.custom or {}).items()}
+            expected = int(stored.message_count)
     except InputError:
         raise
     except TwoTypesError as error:
@@ -279,12 +279,13 @@ def _closed(path: Path, source: Path) -> Bag:
         raise InputError(_damaged(path, error or type(error).__name__)) from error
     bag = Bag(path, topics, metadata, None)
     if bag.count < expected:
-        raise InputError(_damaged(path, f"{bag.count} messages, but its metadata tells {expected}"))
+        raise InputError(_damaged(path, f"{bag.count} messages, but its metadata says {expected}"))
     return bag
 
 
 def _check_metadata(folder: Path) -> None:
-    """Raises before rosbags reads it where metadata.yaml is out of all bounds, or a file becomes more than it may."""
+    """Raises before rosbags reads them if metadata.yaml is much too large, or a file expands to more than is
+    allowed."""
     document = read_yaml(folder / "metadata.yaml")
     about = ("rosbag2_bagfile_information",)
     if str(document.value((*about, "compression_mode"))).lower() == "file":
@@ -296,7 +297,7 @@ def _check_metadata(folder: Path) -> None:
 
 
 def _iterated(storage: Any, allowance: Allowance) -> dict[str, RawTopic]:
-    """The topics of a file that is no MCAP file."""
+    """The topics of a file that is not MCAP."""
     topics: dict[str, RawTopic] = {}
     for connection in storage.connections:
         topic = topics.setdefault(connection.topic, RawTopic(connection.topic, connection.msgtype, connection.msgdef))
@@ -340,13 +341,13 @@ def _merged(path: Path, parts: Iterable[Mapping[str, RawTopic]]) -> dict[str, Ra
 
 def _damaged(path: Path, reason: object) -> str:
     return (
-        f"{path}: not a whole bag ({reason}). Expected {EXPECTED}. If a recording was cut or damaged, "
-        "`eps-tunnel repair BAG --out NEW` may save what is whole into a new bag."
+        f"{path}: not a complete bag ({reason}). Expected {EXPECTED}. If a recording was cut or damaged, "
+        "`eps-tunnel repair BAG --out NEW` may save the intact part into a new bag."
     )
 
 
 def _lone_file(path: Path, file: Path) -> Bag:
-    """A file without metadata.yaml beside it."""
+    """A file without metadata.yaml next to it."""
     if file.suffix == ROS1_SUFFIX:
         return _ros1(path, file)
     if file.suffix != ".mcap":
@@ -363,7 +364,7 @@ def _lone_file(path: Path, file: Path) -> Bag:
 
 
 def _ros1(path: Path, file: Path) -> Bag:
-    """A file of ROS 1, which must be whole and have its index."""
+    """A file of ROS 1, which must be complete and have its index."""
     try:
         allowance = Allowance.of([file])
         with Ros1File(file, allowance) as opened:
@@ -372,26 +373,26 @@ def _ros1(path: Path, file: Path) -> Bag:
         raise InputError(f"{path}: {error}.") from error
     except Exception as error:  # rosbags asserts and raises classes of its own, bz2 and lz4 theirs
         raise InputError(
-            f"{path}: {file.name} is not a whole ROS 1 bag ({error or type(error).__name__}). Expected {EXPECTED}. "
-            "`rosbag reindex` may mend one whose recorder was killed."
+            f"{path}: {file.name} is not a complete ROS 1 bag ({error or type(error).__name__}). Expected {EXPECTED}. "
+            "`rosbag reindex` may repair one whose recorder was killed."
         ) from error
     return Bag(path, _merged(path, [topics]), {}, None)
 
 
 def recovered(path: Path, file: Path) -> Bag:
-    """What is whole in an MCAP file that was never closed or was damaged.
+    """The intact part of an MCAP file that was never closed or was damaged.
 
     Raises:
-        InputError: nothing is.
+        InputError: nothing is intact.
     """
     try:
-        found = read_mcap(file)
+        contents = read_mcap(file)
     except TwoTypesError as error:
         raise InputError(f"{path}: {error}.") from error
-    bag = Bag(path, _merged(path, [found.topics]), found.metadata, None)
+    bag = Bag(path, _merged(path, [contents.topics]), contents.metadata, None)
     times = [time for raw in bag.topics.values() if raw.log_times for time in (raw.log_times[0], raw.log_times[-1])]
     if not times:
-        raise InputError(f"{path}: {file.name} was not closed properly and holds no whole chunk of messages.")
+        raise InputError(f"{path}: {file.name} was not closed properly and holds no complete chunk of messages.")
     note = (
         f"{file.name} was not closed properly; recovered {bag.count} messages "
         f"up to {(max(times) - min(times)) * 1e-9:.2f} s after its first."

@@ -18,10 +18,10 @@ UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 
 @dataclass(frozen=True)
 class Source:
-    """One signal or command channel: `name`, found in `column` of `topic`, in `unit` (SI) once it is converted.
+    """One signal or command channel: `name`, found in `column` of `topic`, in `unit` (SI) after conversion.
 
     `limits` are the lowest and highest target that the rig allows a command; None where that is not known. `recorded`
-    says how the recording holds the channel; as `unit` where that is None.
+    says how the recording holds the channel; in `unit` if that is None.
     """
 
     name: str
@@ -58,8 +58,8 @@ def channel_map(rig: Rig, namespace: str) -> ChannelMap:
     """What a rig says, under `/real` or `/sim`.
 
     A signal is found by its own name: `motor_x` is the position of joint `motor_x` in the rig's topic of joint states,
-    `motor_x_velocity` its velocity, `motor_x_effort` its effort. The units that a rig states are those of what is real;
-    a simulation's own topics, under `/sim`, are SI, and hold all joints in one.
+    `motor_x_velocity` its velocity, `motor_x_effort` its effort. The units that a rig states are those of the real
+    side; a simulation's own topics, under `/sim`, are SI, and hold all joints in one.
     """
     states_units = namespace.strip("/") != "sim"
 
@@ -84,7 +84,7 @@ def channel_map(rig: Rig, namespace: str) -> ChannelMap:
 
 
 def guessed_map(recording: Recording, namespace: str | None = None) -> ChannelMap:
-    """What a bag itself offers: every joint's position, velocity and effort, every command, and the ball.
+    """What a bag itself contains: every joint's position, velocity and effort, every command, and the ball.
 
     Raises:
         InputError: nothing is measured, or a name is in two topics.
@@ -121,7 +121,7 @@ def guessed_map(recording: Recording, namespace: str | None = None) -> ChannelMa
 
 
 def held_by_all(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
-    """A rig's joint positions, and those of its efforts and of its ball that every recording holds numbers of."""
+    """A rig's joint positions, and those of its efforts and of its ball that have numbers in every recording."""
     holding = []
     for recording in recordings:
         sources = channel_map(rig, namespace_of(recording)).signals
@@ -140,7 +140,7 @@ def _holds(recording: Recording, source: Source) -> bool:
 
 
 def namespace_of(recording: Recording) -> str:
-    """`/real` for a bag that holds `/real/joint_states`; the first one where a bag holds several."""
+    """`/real` for a bag that holds `/real/joint_states`; the first one if a bag holds several."""
     for name in (*recording.topics, *recording.others):
         for ending in ("/joint_states", "/joint_commands", "/ball"):
             if name.endswith(ending):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A table of samples (CSV) to a bag, for rigs that log text."""
+"""Converts a table of samples (CSV) to a bag, for rigs that log text."""
 
 import csv
 import re
@@ -53,7 +53,7 @@ def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/r
     An empty cell in every command of a row means that no command was sent then; likewise for the measurements.
 
     Returns:
-        What looks odd in the table, one sentence each.
+        What looks wrong in the table, one sentence each.
 
     Raises:
         InputError: the file, a column or a number cannot be read, a row is only partly filled, or `out` exists or
@@ -97,13 +97,13 @@ def csv_to_bag(table: Path, columns: CsvColumns, out: Path, namespace: str = "/r
 
 def columns_of(table: Path) -> dict[str, NDArray[np.float64]]:
     """Every column of a CSV that holds numbers, by its header, (n,), NaN for empty cells. Raises InputError."""
-    found = {}
+    columns = {}
     for name, cells in _cells(table, None).items():
         try:
-            found[name] = _numbers(table, name, cells)
+            columns[name] = _numbers(table, name, cells)
         except InputError:
             continue
-    return found
+    return columns
 
 
 def arrays_to_bag(
@@ -138,13 +138,13 @@ def _cells(table: Path, names: list[str] | None) -> dict[str, list[str]]:
         raise InputError(f"{table}: cannot be read as CSV ({error}). Expected text with one header line.") from error
     if not rows:
         raise InputError(f"{table}: no rows below the header.")
-    found: dict[str, list[str]] = {}
+    cells: dict[str, list[str]] = {}
     for name in header:
-        found |= _elements(table, name, [(row[name] or "").strip() for row in rows])
-    missing = [name for name in names or () if name not in found]
+        cells |= _elements(table, name, [(row[name] or "").strip() for row in rows])
+    missing = [name for name in names or () if name not in cells]
     if missing:
-        raise InputError([f"{table}: {unknown_name('column', name, found)}" for name in missing])
-    return found if names is None else {name: found[name] for name in names}
+        raise InputError([f"{table}: {unknown_name('column', name, cells)}" for name in missing])
+    return cells if names is None else {name: cells[name] for name in names}
 
 
 def _elements(table: Path, name: str, cells: list[str]) -> dict[str, list[str]]:
@@ -156,14 +156,14 @@ def _elements(table: Path, name: str, cells: list[str]) -> dict[str, list[str]]:
     odd = next((i for i, row in enumerate(rows) if len(row) != len(first)), None)
     if odd is not None:
         raise InputError(
-            f"{table}: line {odd + 2}, column '{name}': '{cells[odd]:.80}' is no list of {len(first)} numbers, as the "
-            "cells above it are. Expected one length throughout."
+            f"{table}: line {odd + 2}, column '{name}': '{cells[odd]:.80}' is not a list of {len(first)} numbers like "
+            "the cells above it. Expected one length throughout."
         )
     return {f"{name}[{i}]": [row[i] for row in rows] for i in range(len(first))}
 
 
 def _list(cell: str) -> list[str] | None:
-    """The elements of a cell that is a list of numbers: in brackets, or parted by spaces."""
+    """The elements of a cell that is a list of numbers: in brackets, or separated by spaces."""
     inside = cell.strip("[]()")
     parts = [part for part in re.split(r"[,;\s]+", inside) if part]
     if not parts or (len(parts) == 1 and inside == cell):
@@ -191,7 +191,7 @@ def _numbers(table: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
 
 
 def _stamps(table: Path, name: str, cells: list[str], scale: float) -> NDArray[np.int64]:
-    """(n,) ns from the first row on."""
+    """(n,) ns since the first row."""
     seconds = scale * _numbers(table, name, cells)
     steps = np.diff(seconds)
     bad = np.flatnonzero(np.isnan(seconds)) if np.isnan(seconds).any() else np.flatnonzero(steps <= 0) + 1
@@ -210,8 +210,8 @@ def _stamps(table: Path, name: str, cells: list[str], scale: float) -> NDArray[n
 
 def _values(table: Path, cells: Mapping[str, list[str]], columns: Mapping[str, str]) -> NDArray[np.float64]:
     """(n, joints)"""
-    found = [_numbers(table, name, cells[name]) for name in columns.values()]
-    return np.stack(found, axis=1) if found else np.empty((len(next(iter(cells.values()))), 0))
+    columns_read = [_numbers(table, name, cells[name]) for name in columns.values()]
+    return np.stack(columns_read, axis=1) if columns_read else np.empty((len(next(iter(cells.values()))), 0))
 
 
 def _write(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a bag on disk to a Recording: serialised messages to columns of numbers, trial marks, stamps that are checked.
 
-Lengths of strings and sequences move everything behind them. In a topic of a running rig they never change, so the
-layout of the first message holds for all, and all messages together are one numpy array of records. Whether the
+Lengths of strings and sequences shift everything after them. In a topic of a running rig they never change, so the
+layout of the first message applies to all, and all messages together are one numpy array of records. Whether the
 lengths and strings are indeed the same in every message is checked; if not, it is decoded message by message.
 
 Encoding: OMG Common Data Representation as ROS 2 uses it (XCDR1): a header of 4 bytes, then each primitive aligned to
@@ -94,10 +94,10 @@ def typestore(definitions: Iterable[tuple[str, MessageDefinition]] = ()) -> Type
 
 
 def register(store: Typestore, name: str, definition: MessageDefinition) -> None:
-    """Adds a type and those it uses, as far as the store does not know them.
+    """Adds a type and those it uses, unless the store has them.
 
     Raises:
-        TypesysError: the definition cannot be read, lacks a type, is recursive or out of all bounds.
+        TypesysError: the definition cannot be read, lacks a type, is recursive or much too large.
     """
     length, lines = len(definition.data), definition.data.count("\n")
     if length > LONGEST_DEFINITION or lines > MOST_LINES:
@@ -119,7 +119,7 @@ def register(store: Typestore, name: str, definition: MessageDefinition) -> None
 
 
 def _check_nesting(name: str, types: Mapping[str, Any]) -> None:
-    """Raises TypesysError for a type that contains itself, or so many fields that no recorder ever wrote one."""
+    """Raises TypesysError for a type that contains itself, or has more fields than any recorder writes."""
     sizes: dict[str, int] = {}
 
     def size(typename: str, outer: tuple[str, ...]) -> int:
@@ -147,7 +147,7 @@ def _check_nesting(name: str, types: Mapping[str, Any]) -> None:
 
 @dataclass
 class Layout:
-    """Where things lie in every message of a topic.
+    """Where the fields are in every message of a topic.
 
     Attributes:
         length: bytes of a message.
@@ -163,7 +163,7 @@ class Layout:
 
 
 class _Walk:
-    """Reads one message along its definition and notes where each field lies."""
+    """Reads one message along its definition and notes where each field is."""
 
     def __init__(self, raw: bytes, store: Typestore) -> None:
         self.raw, self.store, self.at = raw, store, CDR_HEADER
@@ -228,7 +228,7 @@ class _NoLayoutError(Exception):
 
 
 def layout_of(raw: bytes, typename: str, store: Typestore) -> Layout | None:
-    """The layout of one message; None where it has none that this file can describe."""
+    """The layout of one message; None if this file cannot describe it."""
     walk = _Walk(raw, store)
     try:
         if raw[:2] != LITTLE_ENDIAN:
@@ -245,7 +245,7 @@ def decode_constant(
 ) -> tuple[Mapping[str, NDArray[Any]], Mapping[str, Any]] | None:
     """All messages at once: numbers by field path, (n,) or (n, k), and the strings that they all share.
 
-    None when lengths or strings differ between messages, or the type holds what has no constant layout.
+    None when lengths or strings differ between messages, or the type has no constant layout.
     """
     layout = layout_of(raws[0], typename, store)
     if layout is None:
@@ -406,11 +406,11 @@ def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
     """One bag: a rosbag2 folder, or a single .mcap, .db3 or .bag file; only read, never changed.
 
     Args:
-        path: the bag. One whose recorder was killed is read up to its last whole chunk.
+        path: the bag. One whose recorder was killed is read up to its last complete chunk.
         time_source: "header", the stamp set where the value was measured, or "log", when the recorder received it.
 
     Raises:
-        InputError: no bag, an empty, truncated or foreign one, messages that are not what their type says, stamps
+        InputError: no bag, an empty, truncated or foreign one, messages that do not match their type, stamps
             that are missing or run backwards or come twice. All complaints at once.
     """
     path = Path(path)
@@ -448,7 +448,7 @@ def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
 
 
 def read_all(paths: Sequence[Path | str], time_source: TimeSource = "header") -> list[Recording]:
-    """`read` each of several bags. Raises InputError where none is named, else with all complaints at once."""
+    """`read` each of several bags. Raises InputError if none is named, or with all complaints at once."""
     if not paths:
         raise InputError("No bags named; expected at least one rosbag2 folder, .mcap, .db3 or .bag file.")
     complaints = Complaints()

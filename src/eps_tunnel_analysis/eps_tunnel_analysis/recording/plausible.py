@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be read but can hardly be meant: stray samples, and angles that look like degrees.
+"""Values that can be read but are probably wrong: stray samples, and angles that look like degrees.
 
-Nothing is left out because of it: who recorded knows better. It is said wherever the recording is used.
+Nothing is left out because of them; a warning is given wherever the recording is used.
 """
 
 import math
@@ -52,13 +52,13 @@ class Samples:
 
 
 def doubts(channels: Iterable[Samples], cure: str = "") -> list[str]:
-    """One sentence for each channel and doubt, over all its trials; `cure` says what to try against degrees."""
+    """One sentence for each channel and doubt, over all its trials; `cure` says what to do about degrees."""
     of: dict[str, list[Samples]] = {}
     for samples in channels:
         if len(samples.values):
             of.setdefault(samples.what, []).append(samples)
-    found = [sentence for trials in of.values() for sentence in (_beyond(trials, cure), _stray(trials))]
-    return [sentence for sentence in found if sentence]
+    sentences = [sentence for trials in of.values() for sentence in (_beyond(trials, cure), _stray(trials))]
+    return [sentence for sentence in sentences if sentence]
 
 
 def stray(values: Array) -> NDArray[np.intp]:
@@ -83,7 +83,7 @@ def _stray(trials: Sequence[Samples]) -> str:
     return (
         f"Warning: {samples.what} has {count}, {value} {samples.unit} at {samples.time[at]:.2f} s of {samples.where} "
         f"where the others lie from {low} to {high} {samples.unit}. They count like any other; "
-        "look for a broken sensor or a lost byte, and record anew."
+        "look for a broken sensor or a lost byte, and record again."
     )
 
 

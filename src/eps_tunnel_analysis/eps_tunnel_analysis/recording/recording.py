@@ -67,7 +67,7 @@ class StampedTopic:
 
 @dataclass(frozen=True)
 class TrialMark:
-    """Start or end of a trial, or that it was given up, as told on `NS/trial`."""
+    """Start or end of a trial, or that it was aborted, as published on `NS/trial`."""
 
     stamp: int
     """ns by the recording's time source"""
@@ -89,11 +89,11 @@ class Recording:
         path: the bag.
         time_source: the clock that `stamps` and `marks` follow, "header" or "log".
         topics: what could be decoded, by topic name.
-        others: topic -> type of what is in the bag besides.
+        others: topic -> type of the other topics in the bag.
         marks: trial starts and ends in time order.
         metadata: what the recorder noted (sequence, hash, model, versions).
-        notes: what the reader found odd but could live with, one sentence each.
-        closed: False when the recorder was killed and the bag was recovered up to its last whole chunk.
+        notes: irregularities that are not fatal, one sentence each.
+        closed: False when the recorder was killed and the bag was recovered up to its last complete chunk.
     """
 
     path: Path

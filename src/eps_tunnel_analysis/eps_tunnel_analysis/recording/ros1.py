@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from eps_tunnel_analysis.recording.unpack import Allowance, TooLargeError
 
 READ = "sensor_msgs/msg/JointState"
-"""the one type that both systems have and that is read; topics of others are told by name, without their messages"""
+"""the one type of both systems that is read; topics of other types are listed by name, without their messages"""
 
 
 class Ros1File:
@@ -55,7 +55,7 @@ class Ros1File:
         return self._whole(LZ4FrameDecompressor().decompress, data)
 
     def _whole(self, decompress: Callable[..., bytes], data: bytes) -> bytes:
-        found = decompress(data, max_length=self._allowance.left + 1)
-        if len(found) > self._allowance.left:
+        unpacked = decompress(data, max_length=self._allowance.left + 1)
+        if len(unpacked) > self._allowance.left:
             raise TooLargeError(f"a chunk becomes more than {self._allowance.left} bytes")
-        return found
+        return unpacked

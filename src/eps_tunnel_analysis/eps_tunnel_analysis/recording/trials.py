@@ -22,7 +22,7 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array, Trials
 
 LENGTH_JITTER = 0.1
-"""s; lengths of trials that differ by less are the same length, told by a recorder's last messages"""
+"""s; lengths of trials that differ by less are the same length; they differ by a recorder's last messages"""
 COMMANDS_ALIKE = 0.05
 """of the commands' range; trials whose commands are further apart half of the time play different sequences"""
 RATE = 100.0
@@ -87,11 +87,11 @@ def windows(recording: Recording, channels: ChannelMap, notes: list[str]) -> lis
 
 
 def _marked(recording: Recording, marks: Sequence[TrialMark], notes: list[str]) -> list[Window]:
-    found: list[Window] = []
+    windows_: list[Window] = []
     started: TrialMark | None = None
     for mark in [*marks, None]:
         if started is not None and (mark is None or mark.phase != "end"):
-            reason = "was given up" if mark is not None and mark.phase == "aborted" else "has no end mark"
+            reason = "was aborted" if mark is not None and mark.phase == "aborted" else "has no end mark"
             notes.append(f"{recording.path}: trial {started.trial} {reason} and is left out.")
         elif started is not None and mark is not None:
             # The sequence's own length: end marks come a few milliseconds late, and each by another few.
@@ -101,15 +101,15 @@ def _marked(recording: Recording, marks: Sequence[TrialMark], notes: list[str]) 
                 raise InputError(
                     f"{label}: its marks say that it lasts {seconds:g} s; expected 0 to {LONGEST_TRIAL:g} s."
                 )
-            found.append(Window(started.stamp, seconds, label, started.sequence, started.sequence_hash))
+            windows_.append(Window(started.stamp, seconds, label, started.sequence, started.sequence_hash))
         started = mark if mark is not None and mark.phase == "start" else None
-    if not found:
+    if not windows_:
         raise InputError(f"{recording.path}: it has trial marks, but no trial was played to its end.")
-    return found
+    return windows_
 
 
 def check_same_sequence(found: Sequence[Window]) -> None:
-    """Raises InputError when two windows tell different sequences."""
+    """Raises InputError if two windows name different sequences."""
     named = [window for window in found if window.sequence_hash]
     complaints = [
         f"{window.label}: plays sequence '{window.sequence}' ({window.sequence_hash[:12]}), but {named[0].label} plays "
@@ -122,7 +122,7 @@ def check_same_sequence(found: Sequence[Window]) -> None:
 
 
 def cut(lengths: Sequence[float], labels: Sequence[str], rate: float, to_shortest: bool, notes: list[str]) -> int:
-    """T, samples that all trials have. Raises InputError that tells the lengths where they differ."""
+    """T, samples that all trials have. Raises InputError with the lengths if they differ."""
     shortest, longest = min(lengths), max(lengths)
     if longest - shortest > LENGTH_JITTER:
         words = "; ".join(f"{label} {length:.2f} s" for label, length in zip(labels, lengths, strict=True))
@@ -136,7 +136,7 @@ def cut(lengths: Sequence[float], labels: Sequence[str], rate: float, to_shortes
 
 
 def visible(topic: StampedTopic) -> NDArray[np.bool_]:
-    """(n,) which messages carry a measurement: a ball that is not visible is nowhere."""
+    """(n,) which messages carry a measurement: a ball that is not visible has no position."""
     if topic.type == BALL_STATE:
         return topic.columns["visible"] != 0
     return np.ones(len(topic), dtype=np.bool_)
@@ -173,7 +173,7 @@ def check_channels(recording: Recording, channels: ChannelMap) -> None:
 
 
 def check_finite(recording: Recording, channels: ChannelMap, found: Sequence[Window]) -> None:
-    """Raises InputError where a value within a trial is NaN or infinite; what lies between trials is not used."""
+    """Raises InputError where a value within a trial is NaN or infinite; values between trials are not used."""
     complaints: list[str] = []
     for source in (*channels.signals, *channels.commands):
         topic, stamps = recording.topics[source.topic], recording.stamps(source.topic)
@@ -225,14 +225,14 @@ def check_same_commands(commands: Array, labels: Sequence[str], units: Sequence[
 
 @dataclass(frozen=True)
 class ResampleReport:
-    """What was lost between the bags and the trials.
+    """What was lost on the way from the bags to the trials.
 
     Attributes:
         signals: m names.
         missing: (p, m) samples that are NaN, per trial and signal.
         samples: T, per trial.
         gaps: (trial, signal, start s, length s) of every span that was too long to bridge.
-        notes: one sentence each on what is odd but usable.
+        notes: one sentence each on irregularities that are not fatal.
     """
 
     signals: tuple[str, ...]
@@ -246,7 +246,7 @@ class ResampleReport:
 @dataclass(frozen=True)
 class TrialsResult:
     """Trials on a grid and at their own stamps, what was lost on the way, which sequence they played (empty where the
-    bags do not tell), and the bags that they are from.
+    bags do not say), and the bags that they are from.
     """
 
     trials: Trials
@@ -304,7 +304,7 @@ def to_trials(
 
 @dataclass(frozen=True)
 class RecordedTrial:
-    """One trial: where it lies in which recording, and what to take from there."""
+    """One trial: where it is in which recording, and what to take from there."""
 
     recording: Recording
     channels: ChannelMap
@@ -509,8 +509,8 @@ class PlaysResult:
 
     Attributes:
         plays: one for each command, in the order of its first trial.
-        results: what `to_trials` tells of each, in the same order.
-        notes: one sentence each on what is odd but usable.
+        results: what `to_trials` returns for each, in the same order.
+        notes: one sentence each on irregularities that are not fatal.
     """
 
     plays: tuple[Play, ...]
@@ -531,7 +531,7 @@ def to_plays(
 ) -> PlaysResult:
     """The trials of all bags, sorted by the command that they play; the arguments are those of `to_trials`.
 
-    Trials belong together when their marks tell the same sequence hash; where a bag tells none, when they are equally
+    Trials belong together if their marks have the same sequence hash; where a bag has none, if they are equally
     long and their commands differ by more than 5 % of their range in at most 5 % of the samples.
 
     Raises:
@@ -586,7 +586,7 @@ def _alike(one: RecordedTrial, other: RecordedTrial, rate: float, max_hold: floa
 
 
 def _names(groups: Sequence[Sequence[RecordedTrial]]) -> list[str]:
-    """The sequences' names; numbered where a bag tells none, with the hash where two share one."""
+    """The sequences' names; numbered where a bag has none, with the hash where two share one."""
     sequences = [next((s.window.sequence for s in group if s.window.sequence), "") for group in groups]
     names = []
     for number, (name, group) in enumerate(zip(sequences, groups, strict=True), start=1):

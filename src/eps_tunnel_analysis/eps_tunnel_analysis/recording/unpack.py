@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decompression within bounds: what a few bytes claim to become is refused before any memory is taken for it."""
+"""Decompression within bounds: what a few bytes claim to expand to is checked before any memory is allocated."""
 
 import zlib
 from collections.abc import Iterable
@@ -16,12 +16,12 @@ BLOCK_BYTES = 1 << 20  # bytes
 
 
 class TooLargeError(ValueError):
-    """More than a recording of such a size becomes."""
+    """More than a recording of this size can expand to."""
 
 
 @dataclass
 class Allowance:
-    """What is left of the bytes that a bag may become."""
+    """Bytes that a bag may still expand to."""
 
     left: int
 
@@ -41,8 +41,8 @@ def chunk_records(chunk: Any, allowance: Allowance) -> bytes:
 
     Raises:
         TooLargeError: it declares more than is allowed.
-        ValueError: it is not what it declares, or fails its checksum.
-        zstandard.ZstdError, RuntimeError: zstd's or lz4's complaint about what is torn.
+        ValueError: it does not match its header, or fails its checksum.
+        zstandard.ZstdError, RuntimeError: zstd's or lz4's complaint about torn data.
     """
     size = chunk.uncompressed_size
     allowance.take(size, "a chunk")
@@ -75,14 +75,14 @@ def message_data(data: bytes, allowance: Allowance) -> bytes:
 
 def _zstd(data: bytes, size: int) -> bytes:
     declared = zstandard.frame_content_size(data)
-    if declared not in (-1, size):  # -1: the frame does not tell
+    if declared not in (-1, size):  # -1: the frame does not say
         raise TooLargeError(f"a zstd frame declares {declared} bytes where {size} are expected")
     # Frames behind the first would be read by others as more of the same.
     return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size, allow_extra_data=False))
 
 
 def check_file(file: Path, allowance: Allowance) -> None:
-    """Raises TooLargeError where a file that was compressed as a whole becomes more than is allowed."""
+    """Raises TooLargeError where a file that was compressed as a whole expands to more than is allowed."""
     with file.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True) as rest:
         while block := rest.read(BLOCK_BYTES):
             allowance.take(len(block), f"{file.name} becomes more: a part that")

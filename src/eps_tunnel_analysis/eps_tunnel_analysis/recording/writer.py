@@ -2,7 +2,7 @@
 """BagWriter: all topics of one side into one rosbag2 MCAP bag that survives a crash of its recorder.
 
 Every half second a thread turns the messages so far into one compressed chunk, hands it to the system and forces it to
-the disk; a chunk needs nothing behind it to be read. So a killed recorder loses half a second, and `read` opens what
+the disk; a chunk can be read without anything after it. So a killed recorder loses half a second, and `read` opens what
 it left. metadata.yaml is written last: where it is missing, the bag was never closed.
 """
 
@@ -45,7 +45,8 @@ class RecordingError(OSError):
 
 
 class _Storage(McapWriter):
-    """An MCAP file whose messages have a publish time beside the log time, and whose metadata name the ROS release.
+    """An MCAP file whose messages have a publish time in addition to the log time, and whose metadata name the ROS
+    release.
 
     Attributes:
         publish_time: ns, of the message that is written next.
@@ -72,7 +73,7 @@ class _Storage(McapWriter):
         super().close(version, self.with_distro(metadata))
 
     def with_distro(self, metadata: str) -> str:
-        """The metadata as rosbags writes them, with the ROS release in the place of its own name."""
+        """The metadata as rosbags writes them, with the ROS release instead of its own name."""
         return metadata.replace(f"{DISTRO_LINE}rosbags", f"{DISTRO_LINE}{self.distro}") if self.distro else metadata
 
 
@@ -85,8 +86,8 @@ class BagWriter:
 
     Args:
         folder: the bag to make; its parents are made too.
-        metadata: names and texts that tell what was recorded (sequence, sequence_hash, model, versions ...). They
-            stand at the head of the file, where a crash cannot reach them, and in metadata.yaml's custom_data.
+        metadata: names and texts that describe what was recorded (sequence, sequence_hash, model, versions ...). They
+            are at the head of the file, where a crash cannot damage them, and in metadata.yaml's custom_data.
         distro: ROS release under which it is recorded, e.g. `kilted`; empty where no ROS takes part.
 
     Raises:
@@ -115,7 +116,7 @@ class BagWriter:
             self._writer.open()
             self._storage = self._writer.storage
             self._storage.distro = distro
-            # A checksum tells a chunk that lost power has torn from a whole one.
+            # A checksum distinguishes a chunk torn by a power loss from a complete one.
             self._storage.compressor = zstandard.ZstdCompressor(write_checksum=True).compress
             self._write_head()
         except OSError as error:
@@ -215,12 +216,12 @@ class BagWriter:
         return self.path
 
     def _name_distro(self) -> None:
-        """Puts the ROS release into metadata.yaml, which is replaced whole."""
+        """Puts the ROS release into metadata.yaml, which is replaced as a whole."""
         file = self.path / "metadata.yaml"
         text = file.read_text(encoding="utf-8")
-        if (told := self._storage.with_distro(text)) != text:
+        if (rewritten := self._storage.with_distro(text)) != text:
             new = file.with_suffix(".yaml.tmp")
-            new.write_text(told, encoding="utf-8")
+            new.write_text(rewritten, encoding="utf-8")
             new.replace(file)
 
     def __enter__(self) -> "BagWriter":
@@ -267,7 +268,7 @@ class BagWriter:
             raise self._failed(self._error)
 
     def _failed(self, error: OSError) -> RecordingError:
-        """Gives up the file as it is, once, and tells why."""
+        """Gives up the file as it is, once, and says why."""
         if self._error is None:
             self._error = error
             if self._storage is not None:
@@ -287,7 +288,7 @@ def _abandon(stream: Any) -> None:
 
 @contextmanager
 def whole_bag(folder: Path, metadata: Mapping[str, str] | None = None) -> Iterator[BagWriter]:
-    """A writer of a bag that is made from what is on the disk already, and so appears whole or not at all.
+    """A writer of a bag that is made from existing files, and so appears complete or not at all.
 
     Raises:
         InputError: the folder exists, or the bag cannot be written; nothing is left of it.
@@ -301,7 +302,7 @@ def whole_bag(folder: Path, metadata: Mapping[str, str] | None = None) -> Iterat
             with BagWriter(made, metadata) as writer:
                 yield writer
             if folder.exists():
-                raise InputError(f"{folder}: somebody else made it meanwhile; it is left as it is.")
+                raise InputError(f"{folder}: another program created it in the meantime; it is left as it is.")
             made.rename(folder)
     except OSError as error:
         reason = (error.__cause__ or error) if isinstance(error, RecordingError) else error
@@ -310,13 +311,13 @@ def whole_bag(folder: Path, metadata: Mapping[str, str] | None = None) -> Iterat
 
 
 def repair(bag: Path, out: Path) -> str:
-    """Copies every whole chunk of `bag` into the new folder `out`; the original stays as it is.
+    """Copies every intact chunk of `bag` into the new folder `out`; the original is not changed.
 
     Returns:
         One sentence on what was saved.
 
     Raises:
-        InputError: there is no bag, nothing whole in it, or `out` exists or cannot be written.
+        InputError: there is no bag, nothing intact in it, or `out` exists or cannot be written.
     """
     bag, out = Path(bag), Path(out)
     whole = _whole(bag)
@@ -329,7 +330,7 @@ def repair(bag: Path, out: Path) -> str:
         for log_time, name, message in sorted(messages, key=lambda entry: entry[0]):
             writer.write(name, log_time, message)
     count = sum(len(raw.messages) for raw in whole.topics.values())
-    return f"{out}: {count} messages saved. {whole.recovered or 'The bag was whole.'}"
+    return f"{out}: {count} messages saved. {whole.recovered or 'The bag was complete.'}"
 
 
 def _whole(bag: Path) -> Bag:

@@ -41,14 +41,14 @@ OTHERS = ("phase", "direction", "amplitude", "other axes", "trial")
 
 
 def headline(comparison: Comparison, name: str) -> str:
-    """The comparison in a sentence: how far `name` is from the rig, in units of what the rig itself repeats."""
+    """The comparison in a sentence: how far `name` is from the rig, in units of the rig's repeat spread."""
     errors = [e for e in comparison.errors if e.samples]
     if not errors:
         return f"{name} cannot be compared: no sample was seen on both sides"
     if any(math.isnan(e.repeat_rms) for e in errors):
         worst = max(errors, key=lambda e: e.rms / e.range if e.range else math.inf)
         return (
-            f"{name} is off by {shown_value(worst.rms, worst.unit)} on {worst.signal}; one trial tells no repeat spread"
+            f"{name} is off by {shown_value(worst.rms, worst.unit)} on {worst.signal}; one trial gives no repeat spread"
         )
     worst = max(errors, key=_times)
     if _times(worst) <= 1:
@@ -73,7 +73,7 @@ def three_numbers(comparison: Comparison, before: Comparison | None = None) -> K
     was = seen.errors[comparison.signals.index(error.signal)] if before else None
     rig = comparison.against_itself[0].joint if comparison.against_itself else math.nan
     spread = "unknown with one trial" if math.isnan(error.repeat_rms) else shown_value(error.repeat_rms, error.unit)
-    too_few = "" if comparison.against_itself else "Three trials or more tell it."
+    too_few = "" if comparison.against_itself else "This needs three trials or more."
     return KeyFigures(
         [
             (
@@ -87,7 +87,7 @@ def three_numbers(comparison: Comparison, before: Comparison | None = None) -> K
                 shown_share(first.joint),
                 f"alike, {joint}, k = {first.k_real:g}",
                 (f"{shown_share(before.alikeness[0].joint)} before; " if before else "")
-                + "the time that the simulation spends inside what the real trials spanned",
+                + "share of time that the simulation spends within the spread of the real trials",
                 _bar(first.joint),
             ),
             (
@@ -117,8 +117,8 @@ def at_a_glance(
 
     Args:
         step: a sentence and the command to run next, "" where there is none.
-        before: the model that it was; without it, angle and deviation stand side by side.
-        after: what the compared model is called beside `before`.
+        before: the previous model; without it, angle and deviation are shown side by side.
+        after: name of the compared model next to `before`.
     """
     i = (before or comparison).most_off
     signal, unit = comparison.signals[i], shown_unit(comparison.real.units[i])[1]
@@ -150,7 +150,7 @@ def _extent(chart: Chart) -> tuple[float, float]:
 
 
 def summary(comparison: Comparison) -> Section:
-    """One card a signal, and the worst in words."""
+    """One card per signal, and the worst in words."""
     first = comparison.alikeness[0]
     rig = comparison.against_itself[0].shares if comparison.against_itself else {}
     cards: list[tuple[str, str, str, float | None]] = []
@@ -167,12 +167,13 @@ def summary(comparison: Comparison) -> Section:
         "How far",
         (KeyFigures(cards), Points((*words, *comparison.notes))),
         lead="Alikeness is the share of samples at which the simulation lies inside the tunnel of the repeated real "
-        "trials. What can be expected is what the rig reaches against itself, one trial in the tunnel of the others.",
+        "trials. It can be expected to reach what the rig reaches against itself, one trial in the tunnel of the "
+        "others.",
     )
 
 
 def tunnels(comparison: Comparison) -> Section:
-    """Two charts a signal: trajectories, then the deviation from the real mean, time outside shaded."""
+    """Two charts per signal: trajectories, then the deviation from the real mean, time outside shaded."""
     blocks: list[Block] = [KPicker([a.k_real for a in comparison.alikeness])]
     for i, signal in enumerate(comparison.signals):
         blocks += [Heading(signal), _trajectory(comparison, i), _deviation(comparison, i)]
@@ -182,7 +183,7 @@ def tunnels(comparison: Comparison) -> Section:
         blocks,
         lead=f"The band is the tunnel of {comparison.real.count} real trial{'s' * (comparison.real.count > 1)}."
         f"{smoothed} Below, the same relative to the real mean, where the width can be seen. Red marks the time "
-        "outside. Drag to zoom, double-click to return; the values at the cursor stand below.",
+        "outside. Drag to zoom, double-click to return; the values at the cursor are shown below.",
     )
 
 
@@ -226,7 +227,7 @@ def _outside(comparison: Comparison, name: str) -> dict[str, list[tuple[float, f
 
 
 def over_k(comparison: Comparison) -> Section:
-    """A line a signal and one for all together; the same as a table, the rig against itself in every row."""
+    """A line per signal and one for all together; the same as a table, the rig against itself in every row."""
     ks = [a.k_real for a in comparison.alikeness]
     curves, rows = [], []
     for i, curve in enumerate(comparison.curves):
@@ -253,11 +254,11 @@ def over_k(comparison: Comparison) -> Section:
                 ("signal", *(f"k = {k:g}" for k in ks)),
                 rows,
                 numeric=range(1, len(ks) + 1),
-                caption=f"Samples that one side never saw are left out: {left_out}." if left_out else "",
+                caption=f"Samples that are missing on one side are left out: {left_out}." if left_out else "",
             ),
         ),
         lead="How much wider the real tunnel would have to be for the simulation to fit. A curve that starts as high "
-        "as the rig against itself is a close model; one that rises late is off by several times what the rig varies.",
+        "as the rig against itself is a close model; one that rises late is off by several times the rig's own spread.",
     )  # fmt: skip
 
 
@@ -290,9 +291,9 @@ def where_it_fails(comparison: Comparison) -> Section:
         if rows and len({m.group for m in rows}) > 1:
             blocks.append(_table(rows, f"By {kind}", folded=True))
     lead = "The simulation stays inside every tunnel." if not spans else (
-        f"{len(spans)} span{'s' * (len(spans) > 1)} outside at k = {comparison.alikeness[0].k_real:g}. A group with a "
-        "larger share of the squared error than of the time is where to look. The rig's repeat spread is the RMS of "
-        "its trials about their mean."
+        f"{len(spans)} span{'s' * (len(spans) > 1)} outside at k = {comparison.alikeness[0].k_real:g}. Look first at "
+        "groups with a larger share of the squared error than of the time. The rig's repeat spread is the RMS of its "
+        "trials about their mean."
     )  # fmt: skip
     return Section("Where it fails", blocks, lead=lead)
 
@@ -351,7 +352,7 @@ def _table(rows: list[Misfit], caption: str, folded: bool = False) -> Table:
 
 
 def errors(comparison: Comparison) -> Section:
-    """Equation 10, RMS, bias and worst, beside what the rig itself does not repeat."""
+    """Equation 10, RMS, bias and worst, with the rig's own repeat error."""
     rows = [
         (
             e.signal,
@@ -378,16 +379,16 @@ def errors(comparison: Comparison) -> Section:
 
 
 def provenance(facts: Sequence[tuple[str, str]], at: Path | None = None) -> Section:
-    """Pairs of name and value, as the command gathered them; a value that begins with a path leads there.
+    """Pairs of name and value from the command; a value that begins with a path becomes a link.
 
     Args:
-        at: the folder in which the page will be found; without it nothing is linked.
+        at: the folder in which the page will be found; without it there are no links.
     """
     return Section("What was compared", (Facts([(name, linked(value, at)) for name, value in facts]),))
 
 
 def linked(value: str, at: Path | None) -> str | Link:
-    """A path with what follows it in brackets, as a link from the folder `at`; other words stay as they are."""
+    """A path with an optional note in brackets, as a link from the folder `at`; other words are not changed."""
     path, space, rest = value.partition(" (")
     if at is None or not path or ("/" not in path and rest == "") or not Path(path).exists():
         return value

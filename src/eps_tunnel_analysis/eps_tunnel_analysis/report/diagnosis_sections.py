@@ -35,7 +35,7 @@ LONGEST_SINCE = 1.5  # s since a reversal
 
 
 def verdict(diagnosis: Diagnosis) -> Section:
-    """Probabilities, and what each step did to the error; the sentence itself is the page's title."""
+    """Probabilities, and the error after each step; the sentence itself is the page's title."""
     v = diagnosis.verdict
     names = ["as given", "values refitted"]
     registry = diagnosis.base_model.registry
@@ -52,7 +52,7 @@ def verdict(diagnosis: Diagnosis) -> Section:
             caption=f"The stated set is the smallest that has {v.coverage:.0%} of the probability.",
         ),
         Table(
-            ("model", "E (equation 10)", "on what was not fitted", "alike, k = 1", "the rig against itself"),
+            ("model", "E (equation 10)", "on held-out data", "alike, k = 1", "the rig against itself"),
             [
                 (
                     name,
@@ -93,7 +93,7 @@ def _said(name: str) -> str:
 
 
 def ranking(diagnosis: Diagnosis) -> Section:
-    """One table an axis, most probable first; then what the best could be mistaken for."""
+    """One table per axis, most probable first; then what the best could be mistaken for."""
     blocks: list[Block] = []
     for axis in diagnosis.axes:
         blocks.append(Heading(f"{axis.part.title[0].upper()}{axis.part.title[1:]}"))
@@ -108,7 +108,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
         rows.append(("something unknown", percent(axis.ranking.unknown), "", "", ""))
         blocks.append(
             Table(
-                ("hypothesis", "probability", "explains", "misfit left", "on stretches left out"),
+                ("hypothesis", "probability", "explains", "misfit left", "on held-out stretches"),
                 rows,
                 numeric=(1, 3, 4),
                 caption="Misfit: mean square in units of the noise floor; 1 is what a perfect model leaves. Explains: "
@@ -123,7 +123,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
             (name, effect.physics),
             ("what it looks like", effect.mark),
             ("could be mistaken for", ", ".join(effect.confused_with)),
-            ("told apart by", effect.separated_by),
+            ("distinguished by", effect.separated_by),
         ]
     if facts:
         blocks.append(Facts(facts))
@@ -133,7 +133,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
 
 
 def evidence(diagnosis: Diagnosis) -> Section:
-    """Four charts for each signal of an axis that had something missing; for all where none had."""
+    """Four charts for each signal of an axis where something is missing; for all signals if nothing is."""
     before, after = diagnosis.before, diagnosis.after
     worth = [s for axis in diagnosis.axes if axis.refits for s in axis.part.signals if s in before.signals]
     blocks: list[Block] = []
@@ -142,15 +142,17 @@ def evidence(diagnosis: Diagnosis) -> Section:
         factor, unit = shown_unit(before.real.units[i])
         real = before.real_tunnel.mean[:, i]
         speed = np.gradient(real, before.real.step)
-        left = [factor * (c.sim_tunnel.mean[:, i] - real) for c in (before, after)]
+        residuals = [factor * (c.sim_tunnel.mean[:, i] - real) for c in (before, after)]
         blocks.append(Heading(signal))
         for label, x in (
             (f"measured {'angle' if before.real.units[i] == 'rad' else 'place'} in {unit}", factor * real),
             (f"measured speed in {unit}/s", factor * speed),
-            ("time since the command turned round in s", _since_reversal(before.real, signal)),
+            ("time since the command reversed in s", _since_reversal(before.real, signal)),
             ("time in s", before.real.time),
         ):
-            blocks.append(_chart(signal, label, np.asarray(x), left[0], left[1], unit, bool(diagnosis.verdict.effects)))
+            blocks.append(
+                _chart(signal, label, np.asarray(x), residuals[0], residuals[1], unit, bool(diagnosis.verdict.effects))
+            )
     return Section(
         "Evidence",
         blocks,
@@ -191,7 +193,7 @@ def _since_reversal(real: Trials, signal: str) -> Array:
 
 
 def what_to_do(diagnosis: Diagnosis, add: str) -> Section:
-    """The experiment that decides, where one is needed, effects by choice, and what was fitted, with units."""
+    """The deciding experiment, if one is needed, how to add effects, and what was fitted, with units."""
     v = diagnosis.verdict
     blocks: list[Block] = []
     if v.verdict == "effect":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The section on what is missing where no effect explains it: force, variables, formula, what is left, and drawings."""
+"""What is missing where no effect explains it: force, variables, formula, remaining error, and drawings."""
 
 from collections.abc import Mapping, Sequence
 
@@ -29,22 +29,23 @@ OVER: Mapping[str, tuple[str, str]] = {
 
 
 def law(proposal: Proposal) -> Section:
-    """What one axis lacks as a force over its variables, what shows it better, and the formula or curve proposed."""
-    missing, found = proposal.missing, proposal.depends
+    """What one axis lacks, as a force over its variables, the command that shows it better, and the proposed formula or
+    curve."""
+    missing, depends = proposal.missing, proposal.depends
     rows = [
         (d.variable if d.place == proposal.axis else f"{d.variable} {d.place}",
          shown_value(d.period, proposal.position_unit, 4) + (f", {d.traced}" if d.traced else "") if d.period else "",
          Bar(max(d.share, 0.0), f"{max(d.share, 0.0):.0%} ({max(d.interval[0], 0.0):.0%} to {d.interval[1]:.0%})"),
          "yes" if d.named else "")
-        for d in found.dependences[:VARIABLES_LISTED]
+        for d in depends.dependences[:VARIABLES_LISTED]
     ]  # fmt: skip
     blocks: list[Block] = [
         Text(proposal.sentence),
         Table(
             ("variable", "period", "predicts", "more than chance"),
             rows,
-            caption="Predicts: share of the misfit in stretches of time that were left out, with a 90 % interval. By "
-            f"chance variables that were moved in time predict up to {max(found.chance, 0.0):.0%}.",
+            caption="Predicts: share of the misfit in held-out stretches of time, with a 90 % interval. By "
+            f"chance, variables that were shifted in time predict up to {max(depends.chance, 0.0):.0%}.",
         ),
     ]
     blocks += [*_forces(missing, proposal.position_unit), *_trials(proposal)]
@@ -68,7 +69,7 @@ def law(proposal: Proposal) -> Section:
     if len(proposal.tried) > 1:
         blocks.append(
             Table(
-                ("terms, refitted in roll-outs", "floors left where left out"),
+                ("terms, refitted in roll-outs", "floors left on held-out data"),
                 [(form, shown_number(floors)) for form, floors in proposal.tried.items()],
                 numeric=(1,),
             )
@@ -114,14 +115,14 @@ def _curve(proposal: Proposal) -> list[Block]:
     label = f"What is missing over {name}, without a formula"
     return [
         Chart(by * x, [line], f"{name} in {over}" if over else name, f"missing, {unit}", label,
-              "With the 90 % interval. Friction counts against the motion."),
+              "With the 90 % interval. Friction is counted against the motion."),
         Table((f"{name}, {over}" if over else name, f"missing, {unit}"), rows, numeric=(0, 1), folded=True,
-              caption="What is missing over its variable, without a formula. Friction counts against the motion."),
+              caption="What is missing over its variable, without a formula. Friction is counted against the motion."),
     ]  # fmt: skip
 
 
 def _left(proposal: Proposal) -> list[Block]:
-    """The force that is missing with the proposal and without, over time."""
+    """The missing force with and without the proposal, over time."""
     after = proposal.left
     if after is None:
         return []
@@ -155,7 +156,7 @@ def _others(proposal: Proposal) -> list[Block]:
     for offset in proposal.offsets:
         factor, unit = shown_unit(offset.unit)
         time, values, band = (np.concatenate(part) for part in (offset.time, offset.offset, offset.band))
-        what = f"offset of {offset.signal}, were it alone to blame"
+        what = f"offset of {offset.signal}, if it alone were wrong"
         size = float(np.sqrt(np.mean(values**2)))
         rows.append((what, shown_value(size, offset.unit), *_floors(offset.floors)))
         lines = [("missing offset", factor * values, "sim", factor * band)]
@@ -171,7 +172,7 @@ def _floors(floors: tuple[float, float]) -> tuple[str, str]:
 
 
 def _joined(missing: MissingForce, name: str) -> Array:
-    """(n,) at the nodes of all plays: of the force, its band, or what a motion has by that name."""
+    """(n,) at the nodes of all plays: the force, its band, or the named quantity of the motion."""
     if name in ("force", "band"):
         return np.concatenate([np.asarray(getattr(p, name)) for p in missing.plays])
     return np.concatenate([p.at_nodes(_of(p.motion, name)) for p in missing.plays])
@@ -185,7 +186,7 @@ def _of(motion: Motion, name: str) -> Array:
 def _points(
     over: Array, lines: Sequence[tuple[str, Array, str, Array | None]], x_label: str, y_label: str, label: str
 ) -> Chart:
-    """Points over a variable in rising order, without what is not known of it; thinned."""
+    """Points over a variable in rising order, without unknown ones; thinned."""
     order = np.argsort(over, kind="stable")
     order = order[np.isfinite(over[order])]
     order = order[:: max(1, -(-len(order) // DRAWN))]

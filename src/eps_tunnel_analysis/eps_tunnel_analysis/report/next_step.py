@@ -31,9 +31,11 @@ def after_comparison(
     """
     errors = [e for e in comparison.errors if e.samples]
     if errors and all(e.repeat_rms > 0 and e.rms <= e.repeat_rms for e in errors):
-        return "Nothing is left to do: the simulation is off by no more than the rig itself repeats.", ""
+        return "Nothing is left to do: the simulation's error is within the rig's own repeatability.", ""
     words = [*_reading(real, own, known), "--model", model or "MODEL", "--out", "why"]
-    said = "Next: which physical effect the model lacks." + ("" if model else " MODEL is the one that was simulated.")
+    said = "Next: find out which physical effect the model lacks." + (
+        "" if model else " MODEL is the one that was simulated."
+    )
     return said, shlex.join(["eps-tunnel", "diagnose", *words])
 
 
@@ -43,19 +45,19 @@ def after_check(
     """What to do after a check of recordings: a sentence and a command.
 
     Args:
-        serious: something in them should be seen to first.
+        serious: whether something in them should be fixed first.
         real, model: as the user named them.
         own, known: as in `after_comparison`.
     """
-    said = "Next: which physical effect the model lacks."
+    said = "Next: find out which physical effect the model lacks."
     if serious:
-        said = "Next: see to the lines that begin with !, and record anew where they say so. Then diagnose:"
+        said = "Next: deal with the lines that begin with !, and record again where they say so. Then diagnose:"
     return said, shlex.join(["eps-tunnel", "diagnose", *_reading(real, own, known), "--model", model, "--out", "why"])
 
 
 def after_addition(recorded: "Recorded", real: Sequence[Path], model: Path) -> tuple[str, str]:
     """What to do after effects were added into the file `model`: a sentence and a command."""
-    return "Next: see the gap closed.", compare_with(recorded, real, str(model), f"{model.stem}-gap")
+    return "Next: check that the gap is closed.", compare_with(recorded, real, str(model), f"{model.stem}-gap")
 
 
 def compare_with(
@@ -63,7 +65,7 @@ def compare_with(
 ) -> str:
     """The command that compares a model with what was recorded.
 
-    Only trials of one command under one setting can be compared: of several, those of the first.
+    Only trials of one command under one setting can be compared; of several, the first is taken.
 
     Args:
         real: as the user named them.
@@ -79,7 +81,7 @@ def compare_with(
 
 
 def play_command(file: Path) -> str:
-    """The command that makes of a sequence file the commands to be played."""
+    """The command that turns a sequence file into the commands to be played."""
     return shlex.join(["eps-tunnel", "sequences", str(file), "--csv", "next.csv"])
 
 
@@ -101,30 +103,33 @@ def next_step(
     v, own = diagnosis.verdict, recorded.model.registry.folder
     compare, _ = next_commands(v.effects, recorded, real, model, out)
     if v.verdict == "effect":
-        return f"Next: see the gap closed. {out / MODEL_FILE} has what is missing, fitted.", compare
+        return f"Next: check that the gap is closed. {out / MODEL_FILE} has the missing effect, fitted.", compare
     if v.verdict == "complete":
-        return f"Next: see what is left. {out / MODEL_FILE} has the values refitted.", compare
+        return f"Next: check the remaining error. {out / MODEL_FILE} has the values refitted.", compare
     if v.verdict == "undecided" and diagnosis.experiment:
         file = out / "next_experiment.yaml"
         said = f"Next: play {file}, record it, and diagnose these recordings and the new ones together. Its commands:"
         return said, play_command(file)
     if proposal is not None and proposal.model:
         law = compare_with(recorded, real, str(out / "proposed_model.yaml"), effects=out)
-        return "Next: see what the proposed law makes of the gap.", law
+        return "Next: check how far the proposed law closes the gap.", law
     reading = _reading(real, own or Path("EFFECTS"), _settings(recorded, real))
     again = shlex.join(["eps-tunnel", "diagnose", *reading, "--model", model, "--out", f"{out.name}-again"])
     if own:
-        return "Next: record what excites it more, or try another effect of your own:", again
-    return "Next: record what excites it more, or write what it may be as an effect file into a folder EFFECTS:", again
+        return "Next: record a command that excites it more, or try another effect of your own:", again
+    return (
+        "Next: record a command that excites it more, or write your guess as an effect file in a folder EFFECTS:",
+        again,
+    )
 
 
 def _settings(recorded: "Recorded", real: Sequence[Path]) -> list[str]:
-    """The rules on what was set differently that some of these bags match."""
+    """The --known rules that match some of these bags."""
     paths = bags(real)
     return [rule for rule in recorded.known if any(fnmatch(str(path), rule.partition(":")[0]) for path in paths)]
 
 
 def _reading(real: Sequence[Path], own: Path | None, known: Sequence[str]) -> list[str]:
-    """The words of a command that reads these bags, with effects of the user's own and what is known of the bags."""
+    """The words of a command that reads these bags, with the user's own effects and the --known rules."""
     words = ["--real", *map(str, real), *(["--effects", str(own)] if own else [])]
     return [*words, *(["--known", *known] if known else [])]

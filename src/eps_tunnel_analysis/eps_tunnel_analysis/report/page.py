@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 UPLOT = HERE.parent / "monitor" / "static" / "vendor"
 MOST_POINTS = 2000  # samples of a curve; a wide screen has as many pixels
 MOST_NUMBERS = 90_000  # of all charts of a page, so that it stays well under 1 MB
-SHADES = 10_000  # parts of a curve's range that are told apart
+SHADES = 10_000  # parts of a curve's range that are distinguished
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Points:
-    """A list of sentences; under a title to unfold where it has one."""
+    """A list of sentences; folded under its title if it has one."""
 
     kind: ClassVar[str] = "points"
     items: Sequence[str]
@@ -56,7 +56,7 @@ class KeyFigures:
 
 @dataclass(frozen=True)
 class Link:
-    """A file, by its address as seen from the page, with what stands for it and what follows it."""
+    """A file, by its address as seen from the page, with its label and the text after it."""
 
     text: str
     address: str
@@ -102,7 +102,7 @@ class CommandToCopy:
 
 @dataclass(frozen=True)
 class Stripes:
-    """When something is so, one row a name: spans (start, end) in s on an axis from `start` to `end`."""
+    """When something holds, one row per name: spans (start, end) in s on an axis from `start` to `end`."""
 
     kind: ClassVar[str] = "stripes"
     rows: Sequence[tuple[str, Sequence[tuple[float, float]]]]
@@ -112,7 +112,7 @@ class Stripes:
     caption: str = ""
 
     def placed(self, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-        """Left edge and width of each span, in % of the axis; those that a screen would not tell apart are one."""
+        """Left edge and width of each span, in % of the axis; those that a screen cannot separate are merged."""
         length = (self.end - self.start) or 1.0
         joined = joined_spans(spans, length / MOST_POINTS)
         return [(100 * (a - self.start) / length, 100 * (b - a) / length) for a, b in joined]
@@ -162,8 +162,8 @@ class Chart:
         caption: what to look at.
         height: px.
         outside: k -> spans (start, end) shaded at that k.
-        y_range: lowest and highest value shown; by default what the curves need.
-        together: charts of one such name have cursor and zoom in common.
+        y_range: lowest and highest value shown; by default the range of the curves.
+        together: charts with the same name share cursor and zoom.
     """
 
     kind: ClassVar[str] = "chart"

@@ -141,7 +141,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def _alike(comparison: Comparison) -> str:
-    """The joint alikeness beside what the rig reaches against itself, for a title."""
+    """The joint alikeness and that of the rig against itself, for a title."""
     rig = "".join(f", the rig itself {shown_share(a.joint)}" for a in comparison.against_itself[:1])
     return f"; alike {shown_share(comparison.alikeness[0].joint)}{rig}"
 
@@ -195,14 +195,14 @@ def _bars(axes: Axes, verdict: Verdict) -> None:
 
 
 def last_model(verdict: Verdict) -> str:
-    """What the best model of a diagnosis is called in pictures and tables."""
+    """Name of the best model of a diagnosis in pictures and tables."""
     if not verdict.effects:
         return "values refitted"
     return "with the likeliest" if verdict.verdict == "undecided" else "with what is named"
 
 
 def answer_picture(diagnosis: Diagnosis) -> Figure:
-    """What a verdict rests on: the model as given and the best one in the tunnel, and the probabilities."""
+    """The evidence for a verdict: the model as given and the best one in the tunnel, and the probabilities."""
     given, after, i = diagnosis.given, diagnosis.after, diagnosis.given.most_off
     real = given.real_tunnel
     factor, unit = shown_unit(real.units[i])
@@ -223,7 +223,8 @@ def answer_picture(diagnosis: Diagnosis) -> Figure:
 
 
 def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
-    """Simulation minus real over the measured angle or place and the speed, of the signal most beyond its noise.
+    """Simulation minus real over the measured angle or place and the speed, of the signal with the largest error
+    relative to its noise.
 
     Args:
         alone: only of the refitted values, without the effects.
@@ -241,8 +242,8 @@ def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
         panels = figure.subplots(1, 2, sharey=True)
         for axes, x, label in zip(panels, (real, speed), (f"{place} in {unit}", f"speed in {unit}/s"), strict=True):
             for comparison, colour, name in shown:
-                left = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
-                axes.plot(factor * x, factor * left, ".", ms=2, color=colour, label=name)
+                residual = comparison.sim_tunnel.mean[:, worst] - comparison.real_tunnel.mean[:, worst]
+                axes.plot(factor * x, factor * residual, ".", ms=2, color=colour, label=name)
             axes.set_xlabel(label)
         panels[0].set_ylabel(f"simulation − real, {unit}")
         panels[0].set_title(before.signals[worst], loc="left", fontsize=9)
@@ -251,13 +252,13 @@ def left_over_picture(diagnosis: Diagnosis, alone: bool = False) -> Figure:
 
 
 def staircase_picture(steps: Sequence[tuple[str, float]], floor: float, unit: str = "rad") -> Figure:
-    """Error after each step (name, in `unit`) against what the rig itself does not repeat."""
+    """Error after each step (name, in `unit`) against the rig's own repeat error."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 2.8), layout="constrained")
         axes = figure.subplots()
         factor, shown = shown_unit(unit)
         axes.bar(range(len(steps)), [factor * error for _, error in steps], color=SIM_COLOUR, width=0.6)
-        axes.axhline(factor * floor, color=REAL_COLOUR, ls="--", lw=1, label="what the rig itself does not repeat")
+        axes.axhline(factor * floor, color=REAL_COLOUR, ls="--", lw=1, label="the rig's own repeat error")
         axes.set_xticks(range(len(steps)), [name for name, _ in steps])
         axes.set(ylabel=f"error E in {shown}", axisbelow=True)
         axes.legend(frameon=False)

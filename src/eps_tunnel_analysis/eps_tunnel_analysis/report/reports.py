@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports and the files beside them: of a comparison, of a diagnosis, of a walk through the loop."""
+"""Reports and their files: of a comparison, of a diagnosis, of one iteration of the loop."""
 
 import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,8 +44,8 @@ class Findings:
 
     Attributes:
         recorded: what was diagnosed.
-        proposal: where the verdict is "unknown", a law of its own.
-        checked: what the recordings are like and can tell.
+        proposal: a law, if the verdict is "unknown".
+        checked: quality of the recordings and what they can identify.
     """
 
     diagnosis: Diagnosis
@@ -69,7 +69,7 @@ def compare_report(
         facts: what was compared: bags, hashes, model, versions.
         step: what to do next: a sentence and a command.
         at: the folder in which the page will be found, for links.
-        checked: what the real recordings are like, the serious first.
+        checked: findings on the real recordings, the serious first.
     """
     trials, seconds = comparison.real.count, comparison.real.time[-1] + comparison.real.step
     subtitle = f"{name} against {_trials(trials)}: {', '.join(comparison.signals)}, {seconds:.1f} s"
@@ -79,13 +79,13 @@ def compare_report(
 
 
 def _recordings(checked: Sequence[str]) -> list[Section]:
-    """What should be seen to, and, to unfold, all else that the check of the recordings says; none without one."""
+    """What needs attention, and, folded, all other findings of the check of the recordings; none without a check."""
     serious = [line.removeprefix("! ") for line in checked if line.startswith("! ")]
     rest = [line for line in checked if not line.startswith("! ")]
     blocks: list[Block] = [Points(serious)] if serious else []
-    told = "What else was found" if serious else "Nothing that must be seen to; what was found"
-    blocks += [Points(rest, f"{told}, in {len(rest)} sentence{'s' * (len(rest) > 1)}")] if rest else []
-    return [Section("What the recordings can tell", blocks)] if blocks else []
+    others = "Other findings" if serious else "Nothing needs attention; findings"
+    blocks += [Points(rest, f"{others}, in {len(rest)} sentence{'s' * (len(rest) > 1)}")] if rest else []
+    return [Section("What the recordings can identify", blocks)] if blocks else []
 
 
 def _trials(count: int) -> str:
@@ -103,9 +103,9 @@ def write_comparison(
         name: of the simulation.
         facts: what was compared, for the end of the report.
         step: what to do next: a sentence and a command.
-        at: what the folder will be called.
-        pictures: as files, too; they take some seconds.
-        checked: what the real recordings are like, the serious first.
+        at: final name of the folder.
+        pictures: also as files, which takes a few seconds.
+        checked: findings on the real recordings, the serious first.
     """
     page = compare_report(comparison, name, facts, step, at, checked)
     (folder / "report.html").write_text(page, encoding="utf-8")
@@ -120,7 +120,7 @@ def write_comparison(
 
 
 def _tunnel(comparison: Comparison) -> tuple[Sequence[str], Iterable[Sequence[float]]]:
-    """Header and rows in SI units, one a sample."""
+    """Header and rows in SI units, one per sample."""
     real, sim = comparison.real_tunnel, comparison.sim_tunnel
     columns = {
         "mean": real.mean,
@@ -137,7 +137,7 @@ def _tunnel(comparison: Comparison) -> tuple[Sequence[str], Iterable[Sequence[fl
 
 
 def _over_k(comparison: Comparison) -> tuple[Sequence[str], Iterable[Sequence[float]]]:
-    """Header and rows, one a factor k; what the rig reaches against itself in columns of its own, where known."""
+    """Header and rows, one per factor k; the rig against itself in separate columns, if known."""
     names, rig = comparison.signals, comparison.against_itself
     header = ["k", *names, JOINTLY, *(f"{name}_rig" for name in (*names, JOINTLY) if rig)]
     rows = [[a.k_real, *(a.shares[n] for n in names), a.joint] for a in comparison.alikeness]
@@ -181,7 +181,7 @@ def diagnosis_report(
     return render(diagnosis.verdict.sentence, subtitle, sections)
 
 
-def write_diagnosis(folder: Path, out: Path, found: Findings, real: Sequence[Path], model: str) -> dict[str, Any]:
+def write_diagnosis(folder: Path, out: Path, findings: Findings, real: Sequence[Path], model: str) -> dict[str, Any]:
     """Writes diagnosis.json, report.html, model.yaml; where there are, the next experiment and the proposal's files.
 
     The model has the named effects, fitted; where none is named, its own values are refitted.
@@ -193,7 +193,7 @@ def write_diagnosis(folder: Path, out: Path, found: Findings, real: Sequence[Pat
     Returns:
         The JSON's content.
     """
-    diagnosis, recorded, proposal, checked = found.diagnosis, found.recorded, found.proposal, found.checked
+    diagnosis, recorded, proposal, checked = findings.diagnosis, findings.recorded, findings.proposal, findings.checked
     v = diagnosis.verdict
     content = diagnosis_content(diagnosis, recorded) | ({"check": checked.to_json()} if checked else {})
     save_model(better_model(diagnosis, recorded), folder / MODEL_FILE)
@@ -214,13 +214,13 @@ def write_diagnosis(folder: Path, out: Path, found: Findings, real: Sequence[Pat
     _, add = next_commands(v.effects, recorded, real, model, out)
     step = next_step(diagnosis, recorded, real, model, out, proposal)
     files = [(file.name, str(out / file.name)) for file in sorted(folder.iterdir())]
-    page = diagnosis_report(found, subtitle, step, add, [*facts, *files], out)
+    page = diagnosis_report(findings, subtitle, step, add, [*facts, *files], out)
     (folder / "report.html").write_text(page, encoding="utf-8")
     return content
 
 
 def model_provenance(recorded: Recorded, effects: Sequence[str], errors: Three) -> dict[str, Any]:
-    """Where a model comes from that was fitted to recordings, for its file."""
+    """Provenance of a model that was fitted to recordings, for its file."""
     given, before, after = errors
     return {
         **recorded.model.provenance,
@@ -234,7 +234,7 @@ def model_provenance(recorded: Recorded, effects: Sequence[str], errors: Three) 
 
 
 def better_model(diagnosis: Diagnosis, recorded: Recorded) -> Model:
-    """With the effects that the verdict names; where it names none, the given model with its values refitted."""
+    """The model with the named effects; if none is named, the given model with its values refitted."""
     v = diagnosis.verdict
     named, last = (v.effects, v.after) if v.verdict == "effect" else ((), v.before)
     better = diagnosis.model if named else diagnosis.base_model
@@ -277,8 +277,8 @@ def loop_report(
     """The page as HTML, its title the first sentence.
 
     Args:
-        sentences: what was found and what it was worth.
-        facts: where everything is.
+        sentences: what was found and how much it helped.
+        facts: where the files are.
         step: what to do next: a sentence and a command.
         at: the folder in which the page will be found, for links.
     """

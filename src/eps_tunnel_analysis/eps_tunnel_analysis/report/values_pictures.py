@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of values: what a change of them would do, and how they change from date to date."""
+"""Pictures of values: the effect of changing them, and how they change from date to date."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -29,7 +29,7 @@ BOARD_JOINTS = ("board_x", "board_y")
 def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="calibrate_camera", description=__doc__.split("\n")[0].split(": ", 1)[1])
     commands = top.add_subparsers(dest="command", required=True)
-    lens = commands.add_parser("lens", help="intrinsics from a chessboard, before the camera or in pictures")
+    lens = commands.add_parser("lens", help="intrinsics from a chessboard, in front of the camera or in pictures")
     where = lens.add_mutually_exclusive_group(required=True)
     where.add_argument("--source", help="device number or path, video file, or stream address")
     where.add_argument("--pictures", type=Path, help="folder of pictures")

@@ -52,11 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         hardware.connect()
         hardware.arm()
         try:
-            found = calibrate(hardware, given.range_deg, given.step_deg, given.settle, given.samples)
+            entries = calibrate(hardware, given.range_deg, given.step_deg, given.settle, given.samples)
         finally:
             hardware.close()
         content["compensation"] = {
-            name: CompensationSection.of(entry).model_dump(mode="json") for name, entry in found.items()
+            name: CompensationSection.of(entry).model_dump(mode="json") for name, entry in entries.items()
         }
         write_new(given.out, yaml.safe_dump(content, sort_keys=False))
     except (InputError, HardwareError, OSError) as error:
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("calibrate_motors: interrupted; torque is off, nothing was written.", file=sys.stderr)
         raise SystemExit(130) from None
-    for name, entry in found.items():
+    for name, entry in entries.items():
         worst = np.degrees(np.abs(entry.errors).max())
         print(f"{name}: positioning error up to {worst:.2f} deg, slack {np.degrees(entry.slack):.2f} deg")
     print(f"written: {given.out}; use it with -p config:={given.out} -p compensate_position_error:=true")
@@ -96,7 +96,7 @@ def calibrate(
     # Beyond both ends, so that the outermost goals too are met from below and from above.
     beyond = np.radians(BEYOND_DEG)
     path = [goals[0] - beyond, *goals, goals[-1] + beyond, *goals[::-1]]
-    found = {}
+    entries = {}
     at: dict[str, float] = {}
     with tqdm(total=len(names) * len(path), desc="calibrate", unit="rest") as bar:
         for axis, name in enumerate(names):
@@ -107,9 +107,9 @@ def calibrate(
                 rests.append(rest(hardware, command, axis, settle, samples))
                 bar.update()
             half = len(goals)
-            found[name] = measured_map(list(goals), rests[1 : half + 1], rests[half + 2 :][::-1])
+            entries[name] = measured_map(list(goals), rests[1 : half + 1], rests[half + 2 :][::-1])
             at = lead(hardware, at, dict.fromkeys(names, 0.0))
-    return found
+    return entries
 
 
 def lead(hardware: Hardware, start: dict[str, float], goals: dict[str, float]) -> dict[str, float]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lets what talks to ros2_control's controllers drive a side, rig or simulation, and hear its joints.
+"""Lets clients of ros2_control's controllers drive a side (rig or simulation) and receive its joint states.
 
 It takes the messages of forward_command_controller, of joint_trajectory_controller's topic, and the joint states that
 ros2_control's mock hardware mirrors, and sends each as a stream of commands. The newest of them counts.
@@ -38,7 +38,7 @@ class ControllerForwarder(Node):
         self._joints = [str(joint) for joint in joints]
         rate = float(self._declare("rate", 100.0, "commands per second [Hz]", 1.0, 500.0))
         self._hold = float(
-            self._declare("hold", 10.0, "how long the last angle is sent on; 0: for ever [s]", 0.0, 86400.0)
+            self._declare("hold", 10.0, "how long the last angle is repeated; 0: forever [s]", 0.0, 86400.0)
         )
         unknown = [n for n in self._parameter_overrides if not self.has_parameter(n) and not n.startswith(BUILT_IN)]
         if unknown:
@@ -120,7 +120,7 @@ class ControllerForwarder(Node):
         )
 
     def _pose(self) -> Array:
-        """Where the joints are told to be, else where they were measured."""
+        """Where the joints were commanded to be, or else where they were measured."""
         if self._path is not None:
             return self._path.at(self._now - self._began)
         if absent := [joint for joint in self._joints if joint not in self._measured]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The real rig as a managed ROS node: the same topics as the simulation, under /real.
 
-Configured, it measures and publishes. Active, it is armed: it obeys commands and drives the servos. It deactivates
+Configured, it measures and publishes. Active, it is armed: it executes commands and drives the servos. It deactivates
 itself after silence, on an alarm, and when a second publisher of commands appears.
 """
 
@@ -48,7 +48,7 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 class HwNode(LifecycleNode):
     """Drives the servos in a thread of its own, one control period after the other, and publishes measurements.
 
-    That thread, and every timer, follows the machine's steady clock; ROS's clock is read for stamps alone.
+    That thread, and every timer, follows the machine's steady clock; ROS's clock is used only for stamps.
     """
 
     def __init__(self) -> None:
@@ -60,8 +60,10 @@ class HwNode(LifecycleNode):
             "command_timeout", 0.2, "age at which a motor's command is old [s]", 0.02, 5.0, changes=True
         )
         patience = self._declare("connect_timeout", 5.0, "how long to wait for the ports to appear [s]", 0.0, 600.0)
-        self._autostart = self._declare("autostart", True, "configure at start; else a lifecycle manager does [-]")
-        self._arm_at_start = self._declare("arm", False, "activate at start, so that commands are obeyed [-]")
+        self._autostart = self._declare(
+            "autostart", True, "configure at start; otherwise a lifecycle manager does it [-]"
+        )
+        self._arm_at_start = self._declare("arm", False, "activate at start, so that commands are executed [-]")
         silence = self._declare(
             "disarm_after", 60.0, "silence after which the node deactivates itself; 0: never [s]", 0.0, 86400.0,
             changes=True,
@@ -150,7 +152,7 @@ class HwNode(LifecycleNode):
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Arm: commands that arrive from now on are obeyed."""
+        """Arm: commands that arrive from now on are executed."""
         if (complaint := self._too_many_publishers()) is not None:
             return self._refused(f"Not armed: {complaint}")
         try:
@@ -268,7 +270,7 @@ class HwNode(LifecycleNode):
             if len(message.name) != len(message.position):
                 raise InputError(f"{len(message.name)} names but {len(message.position)} positions.")
             if age > self._timeout:
-                raise InputError(f"Its stamp is {age:.3f} s old; more than {self._timeout:g} s is too late to obey.")
+                raise InputError(f"Its stamp is {age:.3f} s old; more than {self._timeout:g} s is too late.")
             if age < -self._timeout:
                 raise InputError(
                     f"Its stamp is {-age:.3f} s ahead of this node's clock; expected {self._timeout:g} s at most. "
@@ -418,7 +420,7 @@ class HwNode(LifecycleNode):
             self._sight = sight
             if lens is not None:
                 self._lens.publish(camera_info(lens, stamp))
-            # Pictures are drawn, and cross from the other process, only while somebody listens.
+            # Pictures are drawn, and cross from the other process, only while there is a subscriber.
             for picture, asked, publisher in (
                 (sight.picture, vision.pictures, self._pictures),
                 (sight.raw, vision.raw, self._raw),
@@ -439,7 +441,7 @@ class HwNode(LifecycleNode):
 
 
 def _qos() -> dict[str, Any]:
-    """Of one entity. A profile of its own: what rclpy changes in it by parameters must reach no other."""
+    """A new profile for one entity, because rclpy's parameters change it and must not affect others."""
     return {
         "qos_profile": QoSProfile(depth=50),
         "qos_overriding_options": QoSOverridingOptions.with_default_policies(),

@@ -133,7 +133,7 @@ def write_bag(folder: Path, run: Run, sequence: str, sequence_hash: str, namespa
     """Write all trials of a run into one new MCAP bag, with trial marks. It appears whole or not at all.
 
     Raises:
-        InputError: the folder exists, for nothing is overwritten; or it cannot be written.
+        InputError: the folder exists (nothing is overwritten), or it cannot be written.
     """
     if folder.exists():
         raise InputError(f"{folder} exists and is left as it is; name another folder.")

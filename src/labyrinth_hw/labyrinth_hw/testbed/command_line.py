@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="testbed",
         description="An emulated labyrinth behind pseudo-serial ports: two Dynamixel servos and a sensor line, with "
-        "physics of its own and whatever a YAML file says is wrong with it. Needs no ROS.",
+        "separate physics and the faults that a YAML file describes. Needs no ROS.",
         epilog=f"Faults, one a line on standard input. {FAULTS}",
     )
     p.add_argument(
@@ -46,7 +46,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--draw", action="store_true", help="hide an effect picked at random by the seed")
     p.add_argument("--reveal", type=Path, metavar="FILE", help="write what is hidden to this JSON file")
     p.add_argument("--link-dir", type=Path, help=f"folder of the links to the ports (default: {default_link_dir()})")
-    p.add_argument("--baud", type=int, help="speed that the servo bus imitates (default: the config's)")
+    p.add_argument("--baud", type=int, help="emulated speed of the servo bus (default: the config's)")
     p.add_argument("--video", type=int, nargs="?", const=0, metavar="PORT", help="stream the camera; 0: any free port")
     p.add_argument("--video-rate", type=float, default=30.0, help="pictures per second (default: 30)")
     p.add_argument("--bag", type=Path, metavar="FOLDER", help="no ports: play --commands at once and write this bag")
@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
                 offline(loaded, given.bag, given.commands, given.trials, seed, given.with_ball)
             except BaseException:
                 if given.reveal is not None:
-                    given.reveal.unlink()  # of a rig that nobody recorded
+                    given.reveal.unlink()  # of a rig that was not recorded
                 raise
             return
         run(loaded, given, given.link_dir or default_link_dir(), seed)

@@ -49,7 +49,7 @@ EFFECTS: dict[str, HiddenEffect] = {
     "dead_band": HiddenEffect("Errors below a margin are ignored.", {"margin": (0.001, 0.004, 0.010)}),
     "rate_limit": HiddenEffect("The goal moves at a limited speed.", {"command_rate": (1.5, 0.7, 0.3)}),
     "torque_saturation": HiddenEffect("The driver limits the current.", {"current_limit": (0.50, 0.20, 0.08)}),
-    "supply_sag": HiddenEffect("The supply yields under load.", {"supply_resistance": (10.0, 15.0, 40.0)}),
+    "supply_sag": HiddenEffect("The supply voltage drops under load.", {"supply_resistance": (10.0, 15.0, 40.0)}),
     "backlash": HiddenEffect("Play between servo and board.", {"play": (0.0025, 0.006, 0.018)}),
     "belt_compliance": HiddenEffect("The belt gives way.", {"belt_stiffness": (15.0, 6.0, 2.0)}),
     "coulomb_friction": HiddenEffect("Dry friction in the servo.", {"coulomb": (0.03, 0.12, 0.35)}),
@@ -85,10 +85,12 @@ EFFECTS: dict[str, HiddenEffect] = {
     "sensor_delay": HiddenEffect("A sensor's values are old.", {"encoder_delay": (0.007, 0.015, 0.040)}, sensor=True),
     "sensor_lag": HiddenEffect("A sensor is filtered.", {"encoder_lag": (0.008, 0.020, 0.050)}, sensor=True),
     "sensor_quantisation": HiddenEffect("A sensor is coarse.", {"encoder_tick": (0.007, 0.010, 0.016)}, sensor=True),
-    "rolling_friction": HiddenEffect("The ball rolls stiffly.", {"rolling_friction": (0.006, 0.012, 0.03)}, ball=True),
-    "restitution": HiddenEffect("Walls swallow the ball's speed.", {"restitution": (0.35, 0.2, 0.05)}, ball=True),
+    "rolling_friction": HiddenEffect(
+        "The ball rolls with more resistance.", {"rolling_friction": (0.006, 0.012, 0.03)}, ball=True
+    ),
+    "restitution": HiddenEffect("Walls absorb the ball's speed.", {"restitution": (0.35, 0.2, 0.05)}, ball=True),
     "board_not_level": HiddenEffect(
-        "The rig stands askew.", {"not_level": (0.003, 0.008, 0.02)}, ball=True, signed=True
+        "The rig is not level.", {"not_level": (0.003, 0.008, 0.02)}, ball=True, signed=True
     ),
     "camera_latency": HiddenEffect("The ball's position is old.", {"camera_latency": (0.02, 0.05, 0.12)}, ball=True),
     "camera_scale": HiddenEffect(
@@ -181,12 +183,12 @@ class TestbedConfig:
         servo: control table of both servos.
         baud, sensor_baud: of the two lines, bits per second.
         layout: of the walls and holes.
-        tilt_rate: Hz of the camera's pictures that tell the board's tilt; None where potentiometers do.
+        tilt_rate: Hz of the camera's pictures that give the board's tilt; None where potentiometers do.
         marble: BGR colour of a painted marble; None for steel.
         mode: operating mode that the servos' EEPROM has; None for the factory's.
     """
 
-    __test__ = False  # no test class, whatever its name
+    __test__ = False  # not a test class, despite its name
 
     name: str
     reality: Reality

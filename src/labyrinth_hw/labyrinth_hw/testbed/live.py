@@ -308,7 +308,7 @@ class LiveTestbed:
         link_dir: folder of the links `servos` and `sensors`.
         baud, sensor_baud: speeds that the wires imitate.
         seed: of the line noise.
-        video: the camera; its address is written to the file `camera` beside the links.
+        video: the camera; its address is written to the file `camera` next to the links.
 
     Raises:
         PortError: another testbed uses the folder.

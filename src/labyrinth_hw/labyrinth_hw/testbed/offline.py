@@ -73,7 +73,7 @@ def run_many(
         time: (T,) s in even steps that are whole milliseconds, e.g. 10 ms.
         commands: (T, 2) rad for x and y, each sent at its time.
         trials: p of each rig.
-        seeds: n, of each rig's noise; the same seed gives the same trials whatever else runs beside it.
+        seeds: n, of each rig's noise; the same seed gives the same trials whatever else runs in the batch.
         layout: walls and holes, for a ball; None leaves it out.
         lead: s that the first command is held before time zero.
 

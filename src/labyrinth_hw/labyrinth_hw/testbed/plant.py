@@ -96,7 +96,7 @@ class Belt:
 
 
 class Board:
-    """What acts on the board besides the belt; forces that are nowhere at work are left out of the reckoning."""
+    """Forces on the board other than the belt's; those that are zero in every rig are not computed."""
 
     def __init__(self, q: SimpleNamespace) -> None:
         self.unbalanced = bool((q.gravity_moment != 0).any() or (q.gravity_height != 0).any())
@@ -108,7 +108,7 @@ class Board:
 
         Args:
             angle, speed: rad, rad/s.
-            push: N m of the belt and of whatever else acts.
+            push: N m of the belt and of everything else that acts.
         """
         torque = push
         if self.unbalanced:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One kind of drive a file; each declares DRIVE. A file put here is found without being named anywhere."""
+"""One kind of drive per file; each declares DRIVE. Files in this folder are found automatically."""

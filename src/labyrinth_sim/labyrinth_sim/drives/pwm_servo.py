@@ -46,8 +46,8 @@ DRIVE = Drive(
     title="Position servo by duty cycle, with a DC motor",
     physics="The duty cycle is proportional to the error up to full duty; the motor's torque is what supply "
     "voltage less "
-    "back-EMF drives through its resistance. The firmware goes by an angle that is half a period of its loop old on "
-    "average.",
+    "back-EMF drives through its resistance. The firmware uses an angle that is on average half a loop period "
+    "old.",
     equation="duty = clip(k_p g (target - angle + T speed), -1, 1); torque = k_t (duty V - k_t speed) / R, "
     "T = feedback_delay",
     parameters=(

@@ -93,8 +93,8 @@ def full(values: Mapping[str, float]) -> float:
 DRIVE = Drive(
     name="velocity_pid",
     title="Speed servo under a PID law on the angle",
-    physics="The servo turns at the speed that a PID law on the angle's error asks for, as far as its torque suffices, "
-    "of which back-EMF takes a share that grows with the speed.",
+    physics="The servo turns at the speed set by a PID law on the angle's error, as far as its torque suffices; "
+    "back-EMF takes a share of the torque that grows with the speed.",
     equation="v = P e + I sum(e_k dt_k) + D (e - e 10 ms before); "
     "torque = clip(G (v - speed), -M min(1, 1 + b speed), M min(1, 1 - b speed)), b = back_emf",
     parameters=(
@@ -105,7 +105,7 @@ DRIVE = Drive(
         GOAL_TICK,
         FEEDBACK_TICK,
         Parameter(
-            "speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff beside 0.01 kg m^2 of armature"
+            "speed_gain", "N m s/rad", 0.05, 20.0, None, 2.0, "from compliant to stiff for 0.01 kg m^2 of armature"
         ),
         Parameter("torque", "N m", 0.01, 10.0, None, 2.8, "hobby servo to MX-106 (8.4 N m)"),
         BACK_EMF,

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One physical effect a file; each declares EFFECT. A file put here is found without being named anywhere."""
+"""One physical effect per file; each declares EFFECT. Files in this folder are found automatically."""

@@ -33,7 +33,7 @@ EFFECT = Effect(
         Parameter("scale", "1", 0.8, 1.2, 1.0, 1.05, "landmarks found wrong by a fifth would be noticed by eye"),
     ),
     stage="measurement",
-    mark="The ball rests at walls and corners where there are none, by more the farther from the board's centre.",
+    mark="The ball rests at walls and corners where there are none, the more so the farther from the board's centre.",
     shows="scaled",
     confused_with=("rolling_friction", "camera_latency"),
     separated_by="Let the ball rest in several corners whose places are known.",

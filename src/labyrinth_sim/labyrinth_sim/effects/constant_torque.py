@@ -17,7 +17,7 @@ EFFECT = Effect(
     "amplifier, a gas spring.",
     equation="torque = T",
     parameters=(
-        Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "as large as Coulomb friction at most, of either sign"),
+        Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign"),
     ),
     stage="mjcf",
     mark="The axis settles to one side of every target by the same angle, whichever way it came.",

@@ -47,7 +47,7 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
 EFFECT = Effect(
     name="cross_coupling",
     title="Cross-axis coupling",
-    physics="Tilting the other axis turns this one along, as a belt does that runs over the other axis.",
+    physics="Tilting the other axis also turns this one, for example because its belt runs over the other axis.",
     equation="load = r motor + c other load (with a belt); u' = u + c u_other (without)",
     parameters=(
         Parameter(

@@ -18,15 +18,15 @@ EFFECT = Effect(
     physics="Some torque depends on where the joint stands; a table says how much, not why.",
     equation="torque = F(angle), F through 10 values over centre +- half",
     parameters=(
-        *knots("N m", -1.0, 1.0, falling(0.2), "as large as Coulomb friction at most, of either sign"),
+        *knots("N m", -1.0, 1.0, falling(0.2), "at most as large as Coulomb friction, of either sign"),
         bounds_of_range("centre", "rad", -100.0, 100.0, 0.0),
         bounds_of_range("half", "rad", 0.001, 100.0, 0.06),
     ),
     stage="force",
-    mark="The axis misses each angle by an amount of its own, from either side and at any speed.",
+    mark="The axis misses each angle by a different amount, from either side and at any speed.",
     shows="by_angle",
     confused_with=("curve_sensor",),
-    separated_by="It is any of the torques that depend on the angle; the shape of its table says which.",
+    separated_by="It may be any torque that depends on the angle; the shape of its table says which.",
     nameless=True,
     step=step,
 )

@@ -18,7 +18,7 @@ EFFECT = Effect(
     physics="Some torque depends on where another axis stands; a table says how much, not why.",
     equation="torque = F(other angle), F through 10 values over centre +- half",
     parameters=(
-        *knots("N m", -1.0, 1.0, falling(0.2), "as large as Coulomb friction at most, of either sign"),
+        *knots("N m", -1.0, 1.0, falling(0.2), "at most as large as Coulomb friction, of either sign"),
         bounds_of_range("centre", "rad", -100.0, 100.0, 0.0),
         bounds_of_range("half", "rad", 0.001, 100.0, 0.06),
     ),

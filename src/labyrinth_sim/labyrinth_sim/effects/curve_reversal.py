@@ -26,7 +26,7 @@ EFFECT = Effect(
     physics="Some torque against the motion grows or decays after each reversal; a table says how much, not why.",
     equation="torque = -F(time since reversal) sign(last speed), F through 10 values over 0 to end",
     parameters=(
-        *knots("N m", -1.0, 1.0, rising(0.2), "as large as Coulomb friction at most, of either sign"),
+        *knots("N m", -1.0, 1.0, rising(0.2), "at most as large as Coulomb friction, of either sign"),
         bounds_of_range("end", "s", 0.001, 1000.0, 0.3),
     ),
     stage="force",

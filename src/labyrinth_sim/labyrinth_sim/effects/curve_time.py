@@ -16,10 +16,10 @@ def step(raw: int) -> None:
 EFFECT = Effect(
     name="curve_time",
     title="Free curve: torque over time",
-    physics="Some torque changes while a trial runs, whatever the joint does; a table says how much, not why.",
+    physics="Some torque changes during a trial, whatever the joint does; a table says how much, not why.",
     equation="torque = F(time), F through 10 values over 0 to end",
     parameters=(
-        *knots("N m", -1.0, 1.0, rising(0.2), "as large as Coulomb friction at most, of either sign"),
+        *knots("N m", -1.0, 1.0, rising(0.2), "at most as large as Coulomb friction, of either sign"),
         bounds_of_range("end", "s", 0.01, 1e5, 5.0),
     ),
     stage="force",

@@ -16,7 +16,7 @@ def step(raw: int) -> None:
 EFFECT = Effect(
     name="curve_time_friction",
     title="Free curve: friction over time",
-    physics="Friction changes while a trial runs, as grease does that warms up; a table says how much, not why.",
+    physics="Friction changes during a trial, for example because grease warms up; a table says how much, not why.",
     equation="torque = -max(F(time), 0) sign(speed), F through 10 values over 0 to end",
     parameters=(
         *knots("N m", 0.0, 1.0, rising(0.2), "0 to a third of the stall torque of a servo of this class"),

@@ -20,7 +20,7 @@ EFFECT = Effect(
     physics="Teeth and bearings rub more in one direction of turning than in the other.",
     equation="F = T for speed > 0 and 0 for speed < 0 if T > 0; the other way round if T < 0",
     parameters=(
-        Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "as large as Coulomb friction at most, of either sign"),
+        Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign"),
     ),
     stage="mjcf",
     mark="The axis stops short of its target coming from one side only.",

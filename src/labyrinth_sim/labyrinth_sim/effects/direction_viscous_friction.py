@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Viscous friction that differs by direction: MuJoCo's joint damping, set anew before every step."""
+"""Viscous friction that differs by direction: MuJoCo's joint damping, rewritten before every step."""
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state
@@ -16,13 +16,14 @@ def step(raw: int) -> None:
 EFFECT = Effect(
     name="direction_viscous_friction",
     title="Direction-dependent viscous friction",
-    physics="A damper, a seal or a screw resists motion in one direction more than in the other, the faster the more.",
+    physics="A damper, a seal or a screw resists motion more in one direction than in the other, and the more so the "
+    "faster it is.",
     equation="torque = -B speed for speed > 0 and 0 for speed < 0 if B > 0; -|B| speed for speed < 0 if B < 0",
     parameters=(
-        Parameter("damping", "N m s/rad", -3.0, 3.0, 0.0, 0.5, "as large as viscous friction at most, of either sign"),
+        Parameter("damping", "N m s/rad", -3.0, 3.0, 0.0, 0.5, "at most as large as viscous friction, of either sign"),
     ),
     stage="force",
-    mark="The lag behind a ramp grows with its speed going one way and does not going the other.",
+    mark="The lag behind a ramp grows with its speed in one direction and not in the other.",
     shows="passing",
     confused_with=(
         "viscous_friction",

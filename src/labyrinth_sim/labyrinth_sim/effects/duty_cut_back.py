@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Duty cut back under stall: the limit of MuJoCo's servo, set anew before every step."""
+"""Duty cut back under stall: the limit of MuJoCo's servo, rewritten before every step."""
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state
@@ -23,8 +23,8 @@ def step(raw: int) -> None:
 EFFECT = Effect(
     name="duty_cut_back",
     title="Duty cut back under stall",
-    physics="The firmware protects the motor: once it has asked for much of the full duty for a time, it gives a small "
-    "share of it until it asks for less.",
+    physics="The firmware protects the motor: after it has requested a large part of the full duty for some time, it "
+    "limits the duty to a small share until it requests less.",
     equation="|duty| <= s while |duty asked for| >= b for longer than T",
     parameters=(
         Parameter("share", "1", 0.02, 1.0, 1.0, 0.25, "protective torque in the firmware: a few per cent to no cut"),
@@ -32,7 +32,7 @@ EFFECT = Effect(
         Parameter("time", "s", 0.0, 3.0, None, 0.0, "protection time in the firmware; Feetech's default is 2 s"),
     ),
     stage="force",
-    mark="Large steps and heavy loads are given up half-way: the axis sinks back or creeps, small motions are as ever.",
+    mark="Large steps and heavy loads stop half-way: the axis sinks back or creeps; small motions are unchanged.",
     shows="passing",
     confused_with=(
         "torque_saturation",

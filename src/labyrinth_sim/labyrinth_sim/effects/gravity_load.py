@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gravity load: a point mass beside the axis."""
+"""Gravity load: a point mass off the axis."""
 
 import mujoco
 import numpy as np
@@ -33,7 +33,7 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
 EFFECT = Effect(
     name="gravity_load",
     title="Gravity load (unbalanced board)",
-    physics="The centre of mass of what is turned lies beside the axis, so that gravity pulls to one side.",
+    physics="The centre of mass of the moving part is off the axis, so that gravity pulls to one side.",
     equation="torque = M g cos(angle), M = mass times distance, at 50 mm from the axis",
     parameters=(Parameter("moment", "kg m", -0.25, 0.25, 0.0, 0.01, "a quarter of what a servo of 10 N m can hold"),),
     stage="mjcf",

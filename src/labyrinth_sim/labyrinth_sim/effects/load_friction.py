@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Load-dependent friction: MuJoCo's frictionloss, set anew before every step."""
+"""Load-dependent friction: MuJoCo's frictionloss, rewritten before every step."""
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LuGre friction: bristles that bend before they slide, stepped implicitly beside MuJoCo's own joint damping."""
+"""LuGre friction: bristles that bend before they slide, stepped implicitly in addition to MuJoCo's own joint
+damping."""
 
 import math
 

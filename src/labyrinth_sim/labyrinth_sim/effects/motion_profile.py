@@ -64,7 +64,7 @@ def command(values: Values, site: Site, step: float, start: Array) -> Profile:
 EFFECT = Effect(
     name="motion_profile",
     title="Motion profile of the firmware",
-    physics="The servo's firmware leads its setpoint to the target with limited acceleration and speed.",
+    physics="The servo's firmware moves its setpoint to the target with limited acceleration and speed.",
     equation="|d2u'/dt2| <= a, |du'/dt| <= v, in the shortest time without passing u",
     parameters=(
         Parameter(
@@ -89,7 +89,7 @@ EFFECT = Effect(
         ),
     ),
     stage="command",
-    mark="Steps become smooth S-shaped ramps: each starts and ends gently, and takes the longer the larger it is.",
+    mark="Steps become smooth S-shaped ramps: each starts and ends gently, and takes longer the larger it is.",
     shows="passing",
     confused_with=(
         "rate_limit",

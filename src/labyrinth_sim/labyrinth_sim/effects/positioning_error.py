@@ -17,7 +17,7 @@ def command(values: Values, site: Site, step: float, start: Array) -> Map:
 EFFECT = Effect(
     name="positioning_error",
     title="Local positioning error",
-    physics="The servo's own angle sensor is uneven, so that it settles beside its target by an error that depends on "
+    physics="The servo's own angle sensor is uneven, so that it settles off its target by an error that depends on "
     "the angle.",
     equation="u' = u + A sin(2 pi u / L + phase)",
     parameters=(

@@ -24,7 +24,7 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
 EFFECT = Effect(
     name="restitution",
     title="Restitution",
-    physics="The ball bounces off walls with a part of its speed.",
+    physics="The ball bounces off walls with part of its speed.",
     equation="speed after = -max(e, 0.135) speed before, across the contact, before the ball's spin brakes it",
     parameters=(Parameter("coefficient", "1", 0.0, 0.9, 0.0, 0.5, "steel on wood bounces with 0.3 to 0.7"),),
     stage="mjcf",

@@ -34,8 +34,8 @@ EFFECT = Effect(
         "camera_scale",
         "restitution",
     ),
-    separated_by="Let it roll to and fro at one tilt: friction slows both ways, a board that is not level helps one of "
-    "them.",
+    separated_by="Let it roll back and forth at one tilt: friction slows both ways, a board that is not level helps "
+    "one of them.",
     where="ball",
     fields=fields,
 )

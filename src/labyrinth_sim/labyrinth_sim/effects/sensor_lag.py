@@ -18,7 +18,7 @@ EFFECT = Effect(
     equation="tau d(angle')/dt + angle' = angle",
     parameters=(Parameter("time_constant", "s", 0.0, 0.15, 0.0, 0.03, "0 to a filter at 1 Hz"),),
     stage="measurement",
-    mark="One signal rounds off every corner and trails the faster it changes; it starts on time.",
+    mark="One signal rounds off every corner and trails more the faster it changes; it starts on time.",
     shows="late",
     confused_with=(
         "sensor_delay",

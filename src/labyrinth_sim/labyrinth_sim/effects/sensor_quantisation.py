@@ -16,8 +16,8 @@ def measure(values: Values, site: Site, step: float, start: Array) -> Map:
 EFFECT = Effect(
     name="sensor_quantisation",
     title="Sensor quantisation",
-    physics="The sensor knows whole ticks only, to which it rounds or cuts the angle; a mean of trials takes the steps "
-    "as softly as the noise before them is large.",
+    physics="The sensor reports whole ticks only, to which it rounds or cuts the angle; in a mean of trials, noise "
+    "before the rounding softens the steps.",
     equation="angle' = E[q round((angle + noise) / q - c)]",
     parameters=(
         Parameter("tick", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of a 10-bit converter over 300 deg (5.1 mrad)"),

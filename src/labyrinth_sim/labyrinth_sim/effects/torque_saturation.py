@@ -21,8 +21,8 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
 EFFECT = Effect(
     name="torque_saturation",
     title="Torque (duty) saturation",
-    physics="The drive's current, and with it its torque, is limited below what the motor could give; of a drive that "
-    "knows no current, its duty.",
+    physics="The drive's current, and with it its torque, is limited below what the motor could give; in a drive "
+    "modelled without a current, the duty is limited.",
     equation="|torque| <= s torque_max; of a drive that knows no current, |duty| <= s",
     parameters=(Parameter("share", "1", 0.005, 1.0, 1.0, 0.02, "a hundredth to all of the full torque"),),
     stage="mjcf",

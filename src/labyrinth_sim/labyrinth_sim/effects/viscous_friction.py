@@ -19,7 +19,7 @@ EFFECT = Effect(
         Parameter("damping", "N m s/rad", 0.0, 3.0, 0.0, 0.5, "0 to what halves a small servo's speed at stall torque"),
     ),
     stage="mjcf",
-    mark="The lag behind a ramp grows with its speed; nothing is left of it at rest.",
+    mark="The lag behind a ramp grows with its speed; it vanishes at rest.",
     shows="passing",
     confused_with=(
         "torque_saturation",

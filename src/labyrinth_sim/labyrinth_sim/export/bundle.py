@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Functions of effects and drives, with all of ours that they use, as text that needs numpy and mujoco only."""
+"""Functions of effects and drives, with everything of ours that they use, as text that needs only numpy and mujoco."""
 
 import ast
 import inspect

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned, for the user's own simulator: an MJCF with all that MuJoCo can say, a module for the rest."""
+"""A model for the user's own simulator: an MJCF with everything that MuJoCo can express, a module for the rest."""
 
 import ctypes
 import inspect
@@ -58,8 +58,9 @@ class Exported:
 def export(model: Model) -> Exported:
     """A model as files for other programs.
 
-    The module is needed by whatever MuJoCo's own elements cannot say: a late or rounded target, a law with an integral,
-    an effect that acts before each step or on a measurement. Without one, each actuator's control is its axis's target.
+    The module is needed for what MuJoCo's own elements cannot express: a late or rounded target, a law with an
+    integral, an effect that acts before each step or on a measurement. Without one, each actuator's control is its
+    axis's target.
 
     Raises:
         InputError: an effect's file uses more than numpy and mujoco.

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # mypy: ignore-errors
-"""Steps an exported model: targets in, MuJoCo's steps with what the MJCF cannot say, measurements out.
+"""Steps an exported model: targets in, MuJoCo's steps with what the MJCF cannot express, measurements out.
 
     model = mujoco.MjModel.from_xml_path("...xml")
     data = mujoco.MjData(model)

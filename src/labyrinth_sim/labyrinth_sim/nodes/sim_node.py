@@ -52,10 +52,10 @@ class SimNode(LifecycleNode):
         self._declare("rate", 0.0, "samples per second; 0 for the rig's [Hz]", low=0.0, high=1000.0)
         self._declare("real_time_factor", 1.0, "seconds simulated per second; /clock is published where not 1 [1]",
                       low=0.01, high=100.0, changes=True)  # fmt: skip
-        self._declare("publish_clock", False, "publish /clock and stamp by it where the factor is 1, too [-]")
+        self._declare("publish_clock", False, "publish /clock and use it for stamps even if the factor is 1 [-]")
         self._declare("seed", 0, "seed of the sensors' noise [-]", low=0, high=2**31 - 1)
-        self._declare("autostart", True, "configure at start; else a lifecycle manager does [-]")
-        self._declare("arm", True, "activate at start, so that commands are obeyed [-]")
+        self._declare("autostart", True, "configure at start; otherwise a lifecycle manager does it [-]")
+        self._declare("arm", True, "activate at start, so that commands are executed [-]")
         self._declare("paused", False, "start paused [-]")
         self._declare("noise", 0.0, "standard deviation of the measured angles' noise [rad]", low=0.0, high=0.1,
                       changes=True)  # fmt: skip
@@ -147,7 +147,7 @@ class SimNode(LifecycleNode):
         elif not request.data and self._active:
             self.trigger_deactivate()
         response.success = True
-        response.message = "Armed: commands are obeyed." if request.data else "Disarmed: commands are refused."
+        response.message = "Armed: commands are executed." if request.data else "Disarmed: commands are refused."
         return response
 
     def _declare(
@@ -292,7 +292,7 @@ class SimNode(LifecycleNode):
         try:
             self._last = self._stepper.advance(self._target)
         except InputError as error:
-            self.get_logger().error(f"{error} Starts anew from rest.")
+            self.get_logger().error(f"{error} Starts again from rest.")
             self._last = self._stepper.reset()
         stamp = self._stamp()
         if self._clocks:
@@ -342,7 +342,7 @@ class SimNode(LifecycleNode):
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._rest()
-        response.success, response.message = True, f"'{self._model.name}' starts anew from rest."
+        response.success, response.message = True, f"'{self._model.name}' starts again from rest."
         return response
 
     def _rest(self) -> None:
@@ -404,7 +404,7 @@ class SimNode(LifecycleNode):
     def _report(self) -> None:
         if not self._configured:
             return
-        if self._paused and self._clocks:  # who starts meanwhile must learn the time, too
+        if self._paused and self._clocks:  # nodes that start in the meantime need the time, too
             self._clocks.publish(ClockMessage(clock=self._stamp()))
         behind = self._late > 0
         status = DiagnosticStatus(
@@ -440,7 +440,7 @@ def _game(stepper: Stepper) -> BallGame | None:
 
 
 def _qos() -> dict[str, Any]:
-    """Of one entity. A profile of its own: what rclpy changes in it by parameters must reach no other."""
+    """A new profile for one entity, because rclpy's parameters change it and must not affect others."""
     return {
         "qos_profile": QoSProfile(depth=50),
         "qos_overriding_options": QoSOverridingOptions.with_default_policies(),

@@ -22,11 +22,11 @@ def start_ros(program: str, about: str, words: Sequence[str]) -> None:
         words: after the program's name.
 
     Raises:
-        SystemExit: after --help, with 0; of words that nobody understands, with 2 and one line on stderr.
+        SystemExit: after --help, with 0; for unknown words, with 2 and one line on stderr.
     """
     own = list(words)[: list(words).index("--ros-args") if "--ros-args" in words else len(words)]
     if "-h" in own or "--help" in own:
-        print(f"{program}: {about} {EXPECTED} docs/reference.md and `ros2 param describe` tell the parameters.")
+        print(f"{program}: {about} {EXPECTED} docs/reference.md and `ros2 param describe` list the parameters.")
         raise SystemExit(0)
     if own:
         refuse(program, f"Unknown argument '{own[0]}'.")
@@ -34,7 +34,7 @@ def start_ros(program: str, about: str, words: Sequence[str]) -> None:
         rclpy.init(args=[program, *words], signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.UnknownROSArgsError as error:
         refuse(program, f"Unknown ROS arguments {error}.")
-    except rclpy_implementation.RCLError as error:  # what rcl expected, and where in its source, helps nobody
+    except rclpy_implementation.RCLError as error:  # what rcl expected, and where in its source, is of no help
         said = re.search(r"rcl: (.*?)(?:\. Error: (.*?))?(?:, at /.*)?$", str(error), re.DOTALL)
         refuse(program, f"{said[1]}." if said else str(error))
 

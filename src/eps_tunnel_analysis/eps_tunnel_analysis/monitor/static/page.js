@@ -22,13 +22,13 @@ function connect() {
   socket.onclose = () => {
     const away = document.getElementById("away");
     away.hidden = false;
-    away.textContent = "The monitor does not answer. Connecting again…";
+    away.textContent = "The monitor does not answer. Reconnecting…";
     fetch("/static/icon.svg", { cache: "no-store" }).then((answer) => {
       if (answer.status === 403) away.textContent = "The monitor runs with another token. Open the address that it printed.";
     }, () => {});
     if (known.connections) { // what was there last is not known to be there now
       known.connections = { ...known.connections, real: false, sim: false, player: false, analysis: false, armed: false };
-      known.job = { kind: "", told: "", seconds: 0 };
+      known.job = { kind: "", progress: "", seconds: 0 };
       showControls(known);
     }
     setTimeout(connect, delay);
@@ -62,13 +62,13 @@ function showGap(anew = false) {
   drawGap(moved || known.gap, moved ? known.whatif.before : known.before, known.staircase, anew);
 }
 
-async function takeWhatIf(told) {
-  showWhatIf(told);
-  if (!told.gap) { tunnels.suppose(null); return; }
+async function takeWhatIf(shown) {
+  showWhatIf(shown);
+  if (!shown.gap) { tunnels.suppose(null); return; }
   const answer = await fetch("/what_if");
   if (!answer.ok) return;
   const table = await answer.json();
-  if (!known.whatif || table.number !== known.whatif.number) return; // another value was answered meanwhile
+  if (!known.whatif || table.number !== known.whatif.number) return; // another value was chosen in the meantime
   tunnels.suppose(table);
   draw();
 }
@@ -93,7 +93,7 @@ function draw() {
 
 export function ask(request) {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(request));
-  else showNotice("Not connected; nothing was asked.");
+  else showNotice("Not connected; nothing was sent.");
 }
 
 function again() {

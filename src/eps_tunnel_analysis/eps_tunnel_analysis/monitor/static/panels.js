@@ -15,9 +15,9 @@ function make(tag, text = "", className = "") {
   return made;
 }
 
-export function showChoices(told) {
+export function showChoices(offer) {
   const select = element("sequence"), chosen = select.value;
-  choices = told.sequences;
+  choices = offer.sequences;
   select.replaceChildren(...choices.map(([name]) => {
     const short = name.replace(/\.yaml$/, "").split("/").slice(-2).join("/");
     const option = make("option", name.startsWith("/") ? `proposed: ${short}` : name);
@@ -50,7 +50,7 @@ export function showControls({ connections: there, job, run, verdict, rig }) {
   for (const id of ["what-if-name", "what-if-value"]) element(id).disabled = job.kind === "play";
   element("stop").disabled = !busy;
   const missing = PARTS.filter(([key]) => !there[key]).map(([, name]) => name.toLowerCase());
-  element("hint").textContent = missing.length ? `Not there: ${missing.join(", ")}.` : !there.armed && !busy ? "Arm the rig to play: it will move." : "";
+  element("hint").textContent = missing.length ? `Not running: ${missing.join(", ")}.` : !there.armed && !busy ? "Arm the rig to play: it will move." : "";
   const panel = element("job"), meter = panel.querySelector(".meter"), words = panel.querySelector("p");
   panel.hidden = !busy;
   if (!busy) return;
@@ -58,16 +58,16 @@ export function showControls({ connections: there, job, run, verdict, rig }) {
   meter.classList.toggle("busy", !playing);
   meter.firstElementChild.style.width = playing ? `${100 * run.share}%` : "";
   words.textContent = playing ? `Trial ${run.trial + 1} of ${run.trials}, ${run.phase}; ${run.time_left.toFixed(0)} s left`
-    : `${DOING[job.kind]}, ${job.seconds.toFixed(0)} s: ${job.told}`;
+    : `${DOING[job.kind]}, ${job.seconds.toFixed(0)} s: ${job.progress}`;
 }
 
 // An error in the rig's SI unit, as people read it.
 const inWords = (value, si) => { const [unit, factor] = shownUnit(si); return `${(value * factor).toFixed(3)} ${unit}`; };
 
 // Errors are in `si`, the rig's unit.
-export function showVerdict(told, si) {
-  element("sentence").textContent = told.sentence;
-  const shown = told.hypotheses.filter(([, p, stated]) => stated || p >= 0.001).sort((a, b) => b[1] - a[1]).slice(0, 6);
+export function showVerdict(verdict, si) {
+  element("sentence").textContent = verdict.sentence;
+  const shown = verdict.hypotheses.filter(([, p, stated]) => stated || p >= 0.001).sort((a, b) => b[1] - a[1]).slice(0, 6);
   element("hypotheses").replaceChildren(...shown.map(([name, p, stated]) => {
     const row = make("div", "", stated ? "hypothesis" : "hypothesis out"), meter = make("div", "", "meter"), bar = make("i");
     bar.style.width = `${100 * p}%`;
@@ -75,20 +75,20 @@ export function showVerdict(told, si) {
     row.append(make("b", name), meter, make("span", percent(p)));
     return row;
   }));
-  const names = [...new Set([told.effects.join(" + "), ...shown.map(([name]) => name)])].filter((n) => n && n !== "none" && n !== "unknown");
+  const names = [...new Set([verdict.effects.join(" + "), ...shown.map(([name]) => name)])].filter((n) => n && n !== "none" && n !== "unknown");
   element("adding").hidden = !names.length;
   element("effect").replaceChildren(...names.map((name) => { const option = make("option", name); option.value = name; return option; }));
   const more = element("verdict-more");
-  const [given, refitted, after] = told.held_out;
-  const errors = [[given, "as given"], [refitted, "with values refitted"], [told.effects.length ? after : null, "with the effect"]].filter(([v]) => v !== null);
-  const lines = errors.length ? [`Error on samples kept from the fit: ${errors.map(([v, when]) => `${inWords(v, si)} ${when}`).join(", ")}.`] : [];
-  const where = told.where.filter(([signal]) => signal !== "jointly").sort((a, b) => (b[2] - b[1]) - (a[2] - a[1])).slice(0, 3);
+  const [given, refitted, after] = verdict.held_out;
+  const errors = [[given, "as given"], [refitted, "with values refitted"], [verdict.effects.length ? after : null, "with the effect"]].filter(([v]) => v !== null);
+  const lines = errors.length ? [`Error on held-out samples: ${errors.map(([v, when]) => `${inWords(v, si)} ${when}`).join(", ")}.`] : [];
+  const where = verdict.where.filter(([signal]) => signal !== "jointly").sort((a, b) => (b[2] - b[1]) - (a[2] - a[1])).slice(0, 3);
   if (where.length) lines.push(`Longest outside the tunnel, values refitted: ${where.map(([signal, start, end]) => `${signal} ${start.toFixed(2)} to ${end.toFixed(2)} s`).join(", ")}.`);
-  if (told.next_experiment) lines.push("Next: play the proposed sequence, the first in the list.");
-  more.replaceChildren(...[...lines, ...told.notes].map((line) => make("p", line)));
-  if (told.report) {
+  if (verdict.next_experiment) lines.push("Next: play the proposed sequence, the first in the list.");
+  more.replaceChildren(...[...lines, ...verdict.notes].map((line) => make("p", line)));
+  if (verdict.report) {
     const link = make("a", "Report with the evidence");
-    link.href = told.report; link.target = "_blank"; link.rel = "noopener";
+    link.href = verdict.report; link.target = "_blank"; link.rel = "noopener";
     more.append(link);
   }
 }
@@ -135,13 +135,13 @@ export function showNotice(text) {
   setTimeout(() => { if (Date.now() >= noticeEnds) notice.hidden = true; }, 12100);
 }
 
-const MOST_TROUBLED = 0.02; // share of late and lost samples from which a banner tells it
+const MOST_TROUBLED = 0.02; // share of late and lost samples from which a banner reports it
 
 export function showHealth(h) {
   const banner = element("troubled");
   banner.hidden = !(h.troubled > MOST_TROUBLED);
-  banner.textContent = `${percent(h.troubled)} of the latest samples came late or were lost: what is shown may be wrong. Look for a busy machine or a weak network.`;
-  const troubles = [["late", h.late], ["lost", h.lost], ["out of order", h.reordered], ["twice", h.duplicated], ["restarts", h.restarts], ["clock jumps", h.clock_jumps]];
-  const told = troubles.filter(([, n]) => n).map(([name, n]) => `${n} ${name}`);
-  element("health").textContent = `${h.received.toLocaleString("en")} samples came${told.length ? `; ${told.join(", ")}` : ", every one in its place"}.`;
+  banner.textContent = `${percent(h.troubled)} of the latest samples arrived late or were lost: the display may be wrong. Check for a busy machine or a weak network.`;
+  const troubles = [["late", h.late], ["lost", h.lost], ["out of order", h.reordered], ["duplicated", h.duplicated], ["restarts", h.restarts], ["clock jumps", h.clock_jumps]];
+  const problems = troubles.filter(([, n]) => n).map(([name, n]) => `${n} ${name}`);
+  element("health").textContent = `${h.received.toLocaleString("en")} samples received${problems.length ? `; ${problems.join(", ")}` : ", all in order"}.`;
 }

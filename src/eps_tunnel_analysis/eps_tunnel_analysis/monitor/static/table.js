@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The rows of one trial, as the monitor tells them: for each signal what the real trials spanned and the simulation in it.
+// The rows of one trial, as the monitor sends them: for each signal the range of the real trials and the simulation in it.
 
 export const MEAN = 1, LOWER = 2, UPPER = 3, SIMULATED = 4, BEFORE = 5, INSIDE = 6; // columns of a signal; 0 is time
 export const UNSEEN = -1, OUTSIDE = 0, COLLECTING = 2;
 const DEG = 180 / Math.PI, SHOWN = { rad: ["deg", DEG], "rad/s": ["deg/s", DEG], m: ["mm", 1000], "m/s": ["mm/s", 1000] };
-let units = {}; // signal -> SI unit, as the rig's model tells them
+let units = {}; // signal -> SI unit, as the rig's model states them
 
-export const learnUnits = (told) => { units = told || {}; };
+export const learnUnits = (message) => { units = message || {}; };
 export const siOf = (name) => units[name] || (name.startsWith("ball_") ? "m" : name.endsWith("_effort") ? "N m"
   : name.endsWith("_velocity") ? "rad/s" : "rad");
 // The unit that people read instead of an SI unit, and the factor to it.
@@ -19,11 +19,11 @@ export class Table {
     Object.assign(this, { key, signals, step, duration, fresh: [], last: -1, columns: signals.map(() => [[], [], [], [], [], [], []]) });
   }
 
-  holds(told) { return !told.whole && told.key === this.key && String(told.signals) === String(this.signals); }
+  holds(message) { return !message.whole && message.key === this.key && String(message.signals) === String(this.signals); }
 
-  fill(told, clock = 0) {
+  fill(message, clock = 0) {
     const factors = this.signals.map((name) => unitOf(name)[1]);
-    for (const [row, ...cells] of told.rows) {
+    for (const [row, ...cells] of message.rows) {
       cells.forEach((cell, s) => {
         const column = this.columns[s];
         for (let i = column[0].length; i <= row; i++) {
@@ -36,7 +36,7 @@ export class Table {
       });
       this.fresh[row] = clock;
     }
-    if (told.rows.length && told.rows.length < 200) this.last = told.rows[told.rows.length - 1][0];
+    if (message.rows.length && message.rows.length < 200) this.last = message.rows[message.rows.length - 1][0];
     return this;
   }
 

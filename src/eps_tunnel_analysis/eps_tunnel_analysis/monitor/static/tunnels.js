@@ -25,7 +25,7 @@ export class Tunnels {
   get moving() { return this.table === this.live; }
   get signals() { return this.table ? this.table.signals.filter((name) => !this.hidden.has(name)) : []; }
 
-  // Everything will be told anew.
+  // Everything will be sent again.
   forget() { this.live = null; this.past = null; this.supposed = null; this.forgetCharts(); }
 
   forgetCharts() {
@@ -35,32 +35,32 @@ export class Tunnels {
     this.changed = true;
   }
 
-  take(told) {
-    if (!this.live || !this.live.holds(told)) {
-      this.live = new Table(told);
+  take(message) {
+    if (!this.live || !this.live.holds(message)) {
+      this.live = new Table(message);
       if (!this.past && !this.supposed) { this.view = null; this.forgetCharts(); }
     }
-    this.live.fill(told, performance.now());
+    this.live.fill(message, performance.now());
     this.changed = true;
   }
 
-  // The trial with a value of the model moved, as the monitor tells it; null goes back to what comes now.
-  suppose(told) {
-    const same = told && this.supposed && this.supposed.holds({ ...told, whole: false });
-    if (!told && !this.supposed) return;
-    this.supposed = told ? new Table(told).fill(told) : null;
+  // The trial with a value of the model moved, as the monitor sends it; null goes back to the live trial.
+  suppose(trial) {
+    const same = trial && this.supposed && this.supposed.holds({ ...trial, whole: false });
+    if (!trial && !this.supposed) return;
+    this.supposed = trial ? new Table(trial).fill(trial) : null;
     this.changed = true;
     if (!same) { this.past = null; this.view = null; this.forgetCharts(); this.draw(this.run, this.gap); }
   }
 
-  // Trials gone by as [number, seconds since 1970]; the last place of the slider is what comes now.
+  // Past trials as [number, seconds since 1970]; the right end of the slider is live.
   keep(trials) {
     const slider = element("past"), now = !this.past;
     this.trials = trials;
     slider.max = trials.length;
     if (now) slider.value = trials.length;
     else slider.value = Math.max(0, trials.findIndex(([number]) => number === this.number));
-    this.tell();
+    this.showPlace();
   }
 
   async look(place) {
@@ -69,16 +69,16 @@ export class Tunnels {
     else {
       this.number = entry[0];
       const answer = await fetch(`/trial/${entry[0]}`);
-      if (this.number !== entry[0]) return; // another one was chosen meanwhile
+      if (this.number !== entry[0]) return; // another one was chosen in the meantime
       if (!answer.ok) return;
-      const told = await answer.json();
-      this.past = new Table(told).fill(told);
+      const trial = await answer.json();
+      this.past = new Table(trial).fill(trial);
     }
     this.forgetCharts();
     this.draw(this.run, this.gap);
   }
 
-  tell() {
+  showPlace() {
     const place = this.past ? this.trials.findIndex(([number]) => number === this.number) : -1;
     element("past-word").textContent = place < 0 ? "now" : `${place - this.trials.length} (until ${new Date(1000 * this.trials[place][1]).toLocaleTimeString()})`;
     element("past").disabled = !this.trials.length;
@@ -101,7 +101,7 @@ export class Tunnels {
     if (!this.changed && !glowing) return;
     this.changed = false;
     element("tunnel-tools").hidden = !table || !table.signals.length;
-    this.tell();
+    this.showPlace();
     if (!table || !table.signals.length) { cleared(element("where"), 0); return; }
     if (!this.charts.length && this.signals.length) this.make();
     this.charts.forEach((chart, i) => {
@@ -116,8 +116,8 @@ export class Tunnels {
       share.textContent = known && !table.collecting ? `${percent(gap.shares[this.drawn[i]][0])} alike${itself}` : "";
     });
     const band = table.collecting ? "Collecting: one real trial has no width yet, so nothing is judged."
-      : "The band is what the real trials spanned; red is where the simulation leaves it.";
-    element("tunnel-what").textContent = this.past ? `A trial gone by. ${band}` : this.supposed ? `Simulated anew with a value moved; dashed is the model as it is. ${band}` : run ? `${run.sequence}, trial ${run.trial + 1} of ${run.trials}. ${band}` : band;
+      : "The band is the spread of the real trials; red is where the simulation leaves it.";
+    element("tunnel-what").textContent = this.past ? `A past trial. ${band}` : this.supposed ? `Simulated with the changed value; dashed: the model as it is. ${band}` : run ? `${run.sequence}, trial ${run.trial + 1} of ${run.trials}. ${band}` : band;
     this.drawWhere();
   }
 

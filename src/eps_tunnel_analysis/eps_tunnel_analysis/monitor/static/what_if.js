@@ -44,16 +44,16 @@ function range(name) {
   element("what-if-ends").textContent = `${short(chosen.low)} to ${short(chosen.high)}${unit(chosen.unit)}`;
 }
 
-// What the monitor answered; nothing where no value is moved.
-export function showWhatIf(told) {
-  const select = element("what-if-name"), slider = element("what-if-value"), name = told && told.gap ? told.name : "";
+// The monitor's answer; nothing if no value is changed.
+export function showWhatIf(answer) {
+  const select = element("what-if-name"), slider = element("what-if-value"), name = answer && answer.gap ? answer.name : "";
   if (select.value !== name || !name) { select.value = name; range(name); }
   element("what-if-word").textContent = "";
   if (!name) return;
-  if (document.activeElement !== slider) slider.value = told.value;
-  const joint = percent(told.gap.joint[0]), k = told.gap.ks[0];
-  const itself = told.gap.rig.length ? `; the rig against itself ${percent(told.gap.rig[0])}` : "";
-  element("what-if-word").textContent = told.before
-    ? `${short(told.value)}${unit(told.unit)} instead of ${short(told.given)}: ${joint} alike at k = ${k}, ${percent(told.before.joint[0])} as it is${itself}`
-    : `${short(told.given)}${unit(told.unit)} in the model: ${joint} alike at k = ${k}${itself}`;
+  if (document.activeElement !== slider) slider.value = answer.value;
+  const joint = percent(answer.gap.joint[0]), k = answer.gap.ks[0];
+  const itself = answer.gap.rig.length ? `; the rig against itself ${percent(answer.gap.rig[0])}` : "";
+  element("what-if-word").textContent = answer.before
+    ? `${short(answer.value)}${unit(answer.unit)} instead of ${short(answer.given)}: ${joint} alike at k = ${k}, ${percent(answer.before.joint[0])} as it is${itself}`
+    : `${short(answer.given)}${unit(answer.unit)} in the model: ${joint} alike at k = ${k}${itself}`;
 }
