@@ -82,6 +82,21 @@ def test_a_fit_that_has_not_converged_is_told() -> None:
     assert not any("converged" in text for text in addition_of(still, [], [play]).doubts), "the values alone are no fit"
 
 
+def test_what_is_not_there_is_not_added_at_values_that_fit_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    play, model = swung("viscous_friction"), load_model("horn").with_effect("viscous_friction", "horn")
+    diagnosis = diagnose(model, [play], only=["torque_saturation"], nthread=1)
+    (axis,) = diagnosis.axes
+    search = axis.search
+    astray = search.start.copy()
+    astray[search.library.names.index("torque_saturation.horn.share")] = 0.01
+    like = replace(axis.base, effects=("torque_saturation.horn",))
+    monkeypatch.setattr(search, "best_of", lambda *_: [search.at(astray, like)])
+    untried = replace(diagnosis, axes=(replace(axis, refits=()),))
+    added = addition_of(untried, ["torque_saturation.horn"], [play])
+    assert added.values["torque_saturation.horn.share"] > 0.2
+    assert added.after.error < 1.02 * added.before.error
+
+
 def test_the_interval_of_a_named_effect_holds_what_was_hidden() -> None:
     play = as_play(recorded("gravity_load=strong", seed=3))
     added = add_effects(wrong_model(), [play], ["gravity_load.x"], 1)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from eps_tunnel_analysis.diagnose.axes import Diagnosis, left_out_error, with_refits
-from eps_tunnel_analysis.diagnose.axis import MISFITTED, ROUNDS, AxisDiagnosis, hypothesis
+from eps_tunnel_analysis.diagnose.axis import MISFITTED, ROUNDS, AxisDiagnosis, hypothesis, nested_refits
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
@@ -173,13 +173,16 @@ def _fitted(axis: AxisDiagnosis, candidates: Sequence[Candidate]) -> Refit:
     """A set that the search did not try: one effect after the other on top of the best of those that it did."""
     search, names = axis.search, {c.name for c in candidates}
     best = min((r for r in (axis.base, *axis.refits) if set(r.effects) <= names), key=lambda r: r.cost)
-    start = best.cost
+    before = best
     for candidate in (c for c in candidates if c.name not in best.effects):
         search.settle_at(best)
         on = tuple(search.library.find(n) for n in best.effects)
         points = search.trial_points([best], [candidate])[:STARTS]
         best = search.best_of([((*on, candidate), point.values) for point in points], ROUNDS)[0]
-    return replace(best, converged=best.cost <= MISFITTED * start)
+    if best.cost <= MISFITTED * before.cost:
+        return best
+    _, again = nested_refits(search, axis.base, [r for r in (before, best) if r.effects])
+    return next(r for r in again if set(r.effects) == names)
 
 
 def _doubts(axis: AxisDiagnosis, names: Collection[str], fitted: Mapping[str, float]) -> list[str]:

@@ -55,7 +55,7 @@ def named_intervals(
         for column, width, least, most in zip(columns, half, lowest, highest, strict=True):
             name = search.library.names[column]
             low, high = min(values[name], float(least)) - width, max(values[name], float(most)) + width
-            found[name] = (max(low, infos[name].low), min(high, infos[name].high))
+            found[name] = (float(max(low, infos[name].low)), float(min(high, infos[name].high)))
     return found
 
 
