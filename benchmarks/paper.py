@@ -19,7 +19,7 @@ from paper_figures import draw_figure_4, draw_figure_5
 from tqdm import tqdm
 
 from eps_tunnel_analysis.alikeness import KS, alikeness_over_k
-from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
+from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Part
 from eps_tunnel_analysis.outputs import versions

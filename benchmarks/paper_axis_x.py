@@ -21,7 +21,7 @@ import numpy as np
 from paper import PAPER_1, PAPER_SHARES, POSITIONS, RATE, play_all, share
 
 from eps_tunnel_analysis.alikeness import KS
-from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
+from eps_tunnel_analysis.calibration.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.outputs import versions
 from eps_tunnel_analysis.recording import read, to_plays

@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from eps_tunnel_analysis.alikeness import KS
+from eps_tunnel_analysis.calibration.calibrate import Settings, calibrate
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
-from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.methods import GaussNewton
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
 from eps_tunnel_analysis.simulated import Play, roll_out

@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 from counting import Figure, Record, flat, rate
 
+from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.diagnose.addition import add_effects
-from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
 from eps_tunnel_analysis.sequence_file import find_sequence
 from eps_tunnel_analysis.simulated import Play

@@ -18,7 +18,7 @@ from mujoco import sysid
 sys.path.insert(0, str(Path(__file__).parent))
 from batch import CORES, build_loop, run_loop
 
-from eps_tunnel_analysis.fit.calibrate import METHODS, Settings, make_problem
+from eps_tunnel_analysis.calibration.calibrate import METHODS, Settings, make_problem
 from eps_tunnel_analysis.fit.evaluations import Evaluations
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Objective, Problem

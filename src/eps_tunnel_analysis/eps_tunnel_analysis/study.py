@@ -34,11 +34,11 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Trials
 
 if TYPE_CHECKING:
+    from eps_tunnel_analysis.calibration.from_bags import Calibration
     from eps_tunnel_analysis.check.check import Check
     from eps_tunnel_analysis.diagnose.axes import Diagnosis
     from eps_tunnel_analysis.diagnose.experiment import Experiment
     from eps_tunnel_analysis.diagnose.verdict import Verdict
-    from eps_tunnel_analysis.fit.from_bags import Calibration
     from eps_tunnel_analysis.law.proposal import Proposal
     from eps_tunnel_analysis.loop.reason import DiagnosisOptions
     from eps_tunnel_analysis.report.pictures import Picture
@@ -224,8 +224,8 @@ class Study:
         Raises:
             InputError: as `sides`; unknown names.
         """
-        from eps_tunnel_analysis.fit.calibrate import Settings
-        from eps_tunnel_analysis.fit.from_bags import calibrate_recorded, free_of
+        from eps_tunnel_analysis.calibration.calibrate import Settings
+        from eps_tunnel_analysis.calibration.from_bags import calibrate_recorded, free_of
         from eps_tunnel_analysis.inputs import held_apart
 
         read = load_recorded(
@@ -448,7 +448,7 @@ class StudyFit:
         Raises:
             InputError: either exists, or cannot be written.
         """
-        from eps_tunnel_analysis.fit.from_bags import model_and_result, write_calibration
+        from eps_tunnel_analysis.calibration.from_bags import model_and_result, write_calibration
 
         files = model_and_result(Path(file))
         write_calibration(self.calibration, files)

@@ -102,8 +102,8 @@ class CalibrateTask(_Task):
 
     def run(self) -> dict[str, Any]:
         """Raises InputError."""
-        from eps_tunnel_analysis.fit.calibrate import Settings
-        from eps_tunnel_analysis.fit.from_bags import calibrate_bags, free_of, model_and_result
+        from eps_tunnel_analysis.calibration.calibrate import Settings
+        from eps_tunnel_analysis.calibration.from_bags import calibrate_bags, free_of, model_and_result
         from eps_tunnel_analysis.inputs import Reading, hold_out, load_recorded
 
         files = model_and_result(self.out)

@@ -18,10 +18,10 @@ from tqdm import tqdm
 from eps_tunnel_analysis.outputs import shown_number, shown_share, shown_value
 
 if TYPE_CHECKING:
+    from eps_tunnel_analysis.calibration.calibrate import Bars, CalibrationResult, Score
     from eps_tunnel_analysis.compare import Comparison
     from eps_tunnel_analysis.diagnose.progress import RolloutProgress
     from eps_tunnel_analysis.diagnose.verdict import PlayError, Verdict
-    from eps_tunnel_analysis.fit.calibrate import Bars, CalibrationResult, Score
     from eps_tunnel_analysis.fit.evaluations import FitProgress
     from eps_tunnel_analysis.fit.problem import Part
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fit_cases import plays, start
 
-from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
+from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.fit.methods import CmaEs, EvolutionStrategy, GaussNewton
 
 METHODS = {

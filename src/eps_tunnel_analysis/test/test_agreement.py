@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from fit_cases import TRUTH, bag_of, made_by, start, step
 
-from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
+from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.fit.methods import GaussNewton
 from eps_tunnel_analysis.inputs import load_recorded
 from eps_tunnel_analysis.simulated import Play

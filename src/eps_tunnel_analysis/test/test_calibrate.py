@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from fit_cases import FREE, TRUTH, made_by, plays, start, step
 
-from eps_tunnel_analysis.fit.calibrate import CalibrationResult, Settings, calibrate, calibrate_model, judge, judge_rig
+from eps_tunnel_analysis.calibration.calibrate import (
+    CalibrationResult,
+    Settings,
+    calibrate,
+    calibrate_model,
+    judge,
+    judge_rig,
+)
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Objective, by_axis, default_free, free_parameters
 from eps_tunnel_analysis.inputs import hold_out

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from checkpoint_cases import METHODS, fit, fit_until
 
-from eps_tunnel_analysis.fit.calibrate import Fit
+from eps_tunnel_analysis.calibration.calibrate import Fit
 
 WAIT = 120  # s
 

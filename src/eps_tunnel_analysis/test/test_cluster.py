@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from fit_cases import FREE, TRUTH, plays, start
 
+from eps_tunnel_analysis.calibration.calibrate import Settings, calibrate
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
-from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.cluster import cluster, connected, each
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Objective

@@ -10,8 +10,8 @@ from bag_files import START, STEP, Header, JointState, Time, write_bag
 from command_line import eps_tunnel
 from fit_cases import on_grid
 
+from eps_tunnel_analysis.calibration.calibrate import judge
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.fit.calibrate import judge
 from eps_tunnel_analysis.fit.problem import CommandError, Objective
 from eps_tunnel_analysis.simulated import Play, axes_at_rest, roll_out, same_commands
 from eps_tunnel_analysis.stamped import Series, StampedTrial

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fit_cases import TRUTH, made_by, start, step
 
-from eps_tunnel_analysis.fit.calibrate import Fit, Settings, calibrate
+from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.fit.intervals import intervals, trade_offs, widened
 from eps_tunnel_analysis.fit.methods import GaussNewton
 from eps_tunnel_analysis.simulated import Play

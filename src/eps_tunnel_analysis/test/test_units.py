@@ -10,7 +10,7 @@ import yaml
 from command_line import eps_tunnel
 from small_recordings import record, write_rig
 
-from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
+from eps_tunnel_analysis.calibration.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.problem import default_free
 from eps_tunnel_analysis.inputs import Reading, known_of, load_recorded, load_sides
 from eps_tunnel_analysis.recording import CsvColumns, csv_to_bag

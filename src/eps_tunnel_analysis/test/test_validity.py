@@ -10,8 +10,8 @@ from bag_files import START
 from command_line import eps_tunnel
 from fit_cases import TRUTH, bag_of, made_by, plays, start, step
 
-from eps_tunnel_analysis.fit.calibrate import judge
-from eps_tunnel_analysis.fit.validity import begun_at, validity_of
+from eps_tunnel_analysis.calibration.calibrate import judge
+from eps_tunnel_analysis.calibration.validity import begun_at, validity_of
 from eps_tunnel_analysis.simulated import Play, roll_out
 from eps_tunnel_analysis.valid import beyond
 from labyrinth_sim.model import Model, load_model

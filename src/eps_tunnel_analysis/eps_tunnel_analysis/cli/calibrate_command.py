@@ -23,7 +23,7 @@ from eps_tunnel_analysis.terminal import console, fit_bars, print_calibration, p
 from labyrinth_sim.errors import InputError
 
 if TYPE_CHECKING:
-    from eps_tunnel_analysis.fit.calibrate import Method, Settings
+    from eps_tunnel_analysis.calibration.calibrate import Method, Settings
 
 NAME = "calibrate"
 HELP = "Fits a model's values to recordings of the real rig."
@@ -90,8 +90,8 @@ def _amount(text: str) -> float:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from eps_tunnel_analysis.fit.calibrate import Settings
-    from eps_tunnel_analysis.fit.from_bags import calibrate_bags, free_of, model_and_result
+    from eps_tunnel_analysis.calibration.calibrate import Settings
+    from eps_tunnel_analysis.calibration.from_bags import calibrate_bags, free_of, model_and_result
     from eps_tunnel_analysis.inputs import held_apart, load_recorded
     from eps_tunnel_analysis.report.next_step import compare_with
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.base_values import sensed_joints
+from eps_tunnel_analysis.diagnose.discrepancy import shifts_of
 from eps_tunnel_analysis.diagnose.rank import independent
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.fit.discrepancy import shifts_of
 from eps_tunnel_analysis.fit.intervals import CHI2_95, intervals, widened
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array

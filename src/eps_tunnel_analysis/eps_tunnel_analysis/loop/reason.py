@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from eps_tunnel_analysis.calibration.validity import validity_of
 from eps_tunnel_analysis.check.check import Check, check
 from eps_tunnel_analysis.diagnose.addition import Addition, add_effects
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.fit.cluster import Spread
-from eps_tunnel_analysis.fit.validity import validity_of
 from eps_tunnel_analysis.inputs import Reading, Recorded, load_recorded
 from eps_tunnel_analysis.law.proposal import Proposal, confirmed, proposal_of
 from eps_tunnel_analysis.outputs import new_folder, refuse_existing, refuse_files

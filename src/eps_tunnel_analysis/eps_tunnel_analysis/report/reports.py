@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from eps_tunnel_analysis.calibration.validity import validity_of
 from eps_tunnel_analysis.check.check import Check
 from eps_tunnel_analysis.compare import JOINTLY, Comparison
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.falls import Three
 from eps_tunnel_analysis.diagnose.named_intervals import intervals_json, named_intervals
-from eps_tunnel_analysis.fit.validity import validity_of
 from eps_tunnel_analysis.inputs import Recorded
 from eps_tunnel_analysis.law.proposal import Proposal
 from eps_tunnel_analysis.outputs import circumstances, json_text, plain, shown_share, shown_value, today, versions

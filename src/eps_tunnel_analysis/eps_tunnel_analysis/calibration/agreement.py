@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from eps_tunnel_analysis.fit.discrepancy import start_changes
+from eps_tunnel_analysis.diagnose.discrepancy import start_changes
 from eps_tunnel_analysis.fit.intervals import intervals
 from eps_tunnel_analysis.fit.problem import Objective, Problem
 from eps_tunnel_analysis.outputs import shown_value

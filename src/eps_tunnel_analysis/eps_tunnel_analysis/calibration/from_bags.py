@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from eps_tunnel_analysis.calibration.calibrate import Bars, CalibrationResult, Score, Settings, calibrate_model
+from eps_tunnel_analysis.calibration.validity import validity_of
 from eps_tunnel_analysis.error import mean_error
-from eps_tunnel_analysis.fit.calibrate import Bars, CalibrationResult, Score, Settings, calibrate_model
 from eps_tunnel_analysis.fit.problem import default_free, free_parameters
-from eps_tunnel_analysis.fit.validity import validity_of
 from eps_tunnel_analysis.inputs import Recorded
 from eps_tunnel_analysis.outputs import called, json_text, model_file, refuse_files, today, versions
 from labyrinth_sim.model import Model, save_model

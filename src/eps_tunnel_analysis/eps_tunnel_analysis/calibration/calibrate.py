@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.alikeness import KS, rig_against_itself
+from eps_tunnel_analysis.calibration.agreement import differing
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.fit.agreement import differing
+from eps_tunnel_analysis.diagnose.discrepancy import Discrepancy, discrepancy, start_pose_deviation
 from eps_tunnel_analysis.fit.differences import jacobian, moved
-from eps_tunnel_analysis.fit.discrepancy import Discrepancy, discrepancy, start_pose_deviation
 from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, FitProgress, Improvement, Journal
 from eps_tunnel_analysis.fit.intervals import (
     Intervals,

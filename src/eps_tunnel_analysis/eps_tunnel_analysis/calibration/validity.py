@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from eps_tunnel_analysis.fit.calibrate import judge
+from eps_tunnel_analysis.calibration.calibrate import judge
 from eps_tunnel_analysis.recording.bag import read_bag
 from eps_tunnel_analysis.simulated import Diverged, Play, roll_out
 from eps_tunnel_analysis.valid import ranges
