@@ -25,7 +25,6 @@ ALLOWED: dict[str, tuple[set[str], set[str]]] = {
 }
 
 
-
 @cache
 def modules(package: str) -> list[Path]:
     return sorted((ROOT / "src" / package / package).rglob("*.py"))
