@@ -163,7 +163,7 @@ def page_text(figures: dict[str, Any], rig: Recorded) -> str:
         lines.append(f"| {given['name']} | {kind} | {errors} |")
     lines += _law(figures.get("proposed_effect"))
     order = ", ".join((*rig.fitted, *rig.held_out))
-    lines += ["", f"Commands are numbered in the order {order}, those held out anew."]
+    lines += ["", f"Commands are numbered in the order {order}; those held out are numbered separately."]
     spent = [f"{one['words'][1]} {one['processor_s']:.0f} s" for one in figures["commands"]]
     lines += ["", f"Processor time: {', '.join(spent)}; {figures['evaluations']} roll-outs.", ""]
     return "\n".join(lines)

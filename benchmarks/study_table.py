@@ -100,7 +100,7 @@ def _reliability(records: Sequence[Record]) -> Iterator[str]:
 def _misses(records: Sequence[Record]) -> Iterator[str]:
     missed = [r for r in records if not is_right(r)]
     left_open = sum(is_undecided(r) for r in missed)
-    yield f"All that was not told right, {len(missed)} of {len(records)}; {left_open} of them undecided with the truth:"
+    yield f"Cases not named right, {len(missed)} of {len(records)}; {left_open} of them undecided with the truth:"
     yield ""
     yield "| seed | rig | hidden | shows | verdict | stated set |"
     yield "|---|---|---|---|---|---|"

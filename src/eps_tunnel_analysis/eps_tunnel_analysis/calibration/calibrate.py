@@ -44,10 +44,10 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 INTERVAL_STEP = 1e-4  # of the finite differences for the intervals, normalised
-NEGLIGIBLE_STEP = 1e-4  # normalised; a promise this close by is no promise
+NEGLIGIBLE_STEP = 1e-4  # normalised; a smaller promised step does not count
 PROMISED_GAIN = 0.05  # of the squared residuals; less counts as converged
 FITNESS = ("error", "srg")
-WORSE = 1.02  # times the error before; a recording beyond it is told
+WORSE = 1.02  # times the error before; a recording beyond it is reported
 WORSE_LISTED = 3  # recordings that got worse
 
 
@@ -185,8 +185,8 @@ _Judged = tuple[tuple[Score, ...], Array]
 def judge_rig(
     model: Model, plays: Sequence[Play], signals: Iterable[str] | None = None, ks: Sequence[float] = KS
 ) -> dict[str, dict[float, float]]:
-    """What the rig reaches against itself, beside the alikeness of `judge`: signal -> factor k -> share of all seen
-    samples of the plays with enough trials; empty where no play has them.
+    """What the rig reaches against itself, to compare with `judge`: signal -> factor k -> share alike of all seen
+    samples of the plays with enough trials; empty if no play has these.
 
     Raises:
         InputError: unknown signals.
@@ -236,7 +236,7 @@ class Settings:
         held_out: numbers of the plays that are not fitted but judged afterwards.
         timestep: MuJoCo's step, s; None for the rig's own.
         nthread: 0 for one per CPU; the answer does not depend on it.
-        journal: checkpoint file; a run that broke off goes on from it.
+        journal: checkpoint file; an interrupted run continues from it.
         budget: evaluations after which to stop, at the end of a batch; None leaves it to the method.
         about: data and versions, kept with the result.
         spread: wraps the residual function, to send the same evaluations elsewhere.
@@ -312,7 +312,7 @@ def calibrate(
             lacking = discrepancy(*at)
             found = widened(found, np.hypot(lacking.deviation, start_pose_deviation(*at)))
             apart = differing(*at, lacking.deviation)
-        except KeyboardInterrupt:  # again: whoever waits wants the values, not how sure they are
+        except KeyboardInterrupt:  # again: the user wants the values now, without intervals
             interrupted = True
             residuals, slopes, found = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
             lacking, apart = Discrepancy(np.empty((0, problem.size))), ()
@@ -385,7 +385,7 @@ def _fitness(objective: Objective, settings: Settings) -> Fitness:
 
 def _around(evaluations: Evaluations) -> tuple[Array, Array]:
     """Residuals (R,) and their slopes (R, k) at the best, in the fitness's scaling."""
-    # Not in the checkpoint either: a run that goes on after an interruption asks other questions next.
+    # Not in the checkpoint either: a run that continues after an interruption makes other evaluations next.
     evaluations.limit, evaluations.progress, evaluations.journal = None, None, None
     z = evaluations.best
     points, steps = moved(z, INTERVAL_STEP)
@@ -438,7 +438,7 @@ def _doubts(found: Intervals, lacking: Discrepancy, values: Array, span: Array, 
     return told
 
 
-#: Told before each fit of its part and its likely number of evaluations; gives what is called as the fit goes on.
+#: Called before each fit with its part and its likely number of evaluations; gives what reports the fit's progress.
 Bars = Callable[[Part, int], FitProgress]
 
 
@@ -447,7 +447,7 @@ class PlayChange:
     """One recording before and after a fit.
 
     Attributes:
-        name: of the play; held_out: whether it was kept from the fit.
+        name: of the play; held_out: whether it was held out of the fit.
         before, after: E_C, mean over the signals of the first one's unit, in `unit`.
     """
 
@@ -467,12 +467,12 @@ class PlayChange:
 @dataclass(frozen=True)
 class CalibrationResult:
     """Attributes:
-    model: with the fitted values, their source not told yet; see `signed`.
+    model: with the fitted values, their source not recorded yet; see `signed`.
     parts, fits: what was fitted, and how it went; one unless fitted axis by axis, fewer after an interruption.
     before, after: scores on the fitted plays, signal by signal.
     held_out_before, held_out_after: on those held out; empty where none were.
-    itself, held_out_itself: what the rig reaches against itself on the same plays, as of `judge_rig`.
-    plays: each recording, the one that fared worst first.
+    itself, held_out_itself: what the rig reaches against itself on the same plays, from `judge_rig`.
+    plays: each recording, worst change first.
     """
 
     model: Model
@@ -514,7 +514,7 @@ def _changes(plays: Sequence[Play], held_out: bool, before: _Judged, after: _Jud
 
 
 def _worse(plays: Sequence[PlayChange]) -> list[str]:
-    """What a mean over the recordings hides: those that a fit made worse."""
+    """Recordings that a fit made worse, which a mean over all recordings hides."""
     worse = [play for play in plays if play.change > WORSE]
     told = [
         f"{p.name} ({'held out' if p.held_out else 'fitted'}), {shown_value(p.before, p.unit)} before, "

@@ -35,7 +35,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class PlayError:
-    """One recording: its name, whether it was kept from the fit, and the error of one model on it (rad)."""
+    """One recording: its name, whether it was held out of the fit, and the error of one model on it (rad)."""
 
     name: str
     held_out: bool
@@ -49,7 +49,7 @@ class AxisVerdict:
 
     Attributes:
         marginals: effect -> probability that it is missing, whatever else is.
-        none, unknown: probability that nothing is, and that something is which no effect explains.
+        none, unknown: probability that nothing is missing, and that something is that no effect explains.
         explained: hypothesis -> share of the misfit beyond the noise that it takes away, with a 90 % interval.
         remaining: signal -> mean square left by what is named, in units of the noise floor: 1 is noise.
         floors: the same over all signals, before and after what is named.
@@ -70,7 +70,7 @@ class AxisVerdict:
 @shown
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis says.
+    """The result of a diagnosis.
 
     Attributes:
         verdict: "complete", "effect", "undecided" or "unknown".
@@ -83,9 +83,9 @@ class Verdict:
         given, before, after: errors of the model as given, with its values refitted, and with the effects added.
         ball: the same three of the ball, where it was seen.
         plays: the same three for each recording.
-        rig_against_itself: alikeness of one trial in the tunnel of the others, mean over the trials; NaN of one alone.
-        axes: what is said of each axis by itself.
-        values: what the effects' and the base's parameters came out as.
+        rig_against_itself: alikeness of one trial in the tunnel of the others, mean over the trials; NaN for only one.
+        axes: the verdict on each axis by itself.
+        values: the fitted parameters of the effects and the base.
         next_experiment: name of the sequence to play next, None where there is nothing to decide.
         notes: what could not be known, one sentence each.
     """
@@ -169,7 +169,7 @@ def _axis_json(found: AxisVerdict) -> dict[str, Any]:
 
 
 def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, tuple[str, ...], tuple[str, ...]]:
-    """What to say of these probabilities: the verdict, the effects named, and the stated set."""
+    """The verdict from these probabilities, the effects named, and the stated set."""
     stated = smallest_set(probabilities, coverage)
     first = stated[0]
     named = tuple(first.split(" + ")) if first not in (NONE, UNKNOWN) else ()
@@ -196,8 +196,8 @@ def sentence(
     """
     if kind == "complete" and not floor:
         return (
-            f"No effect of the library explains more ({percent(probabilities[NONE])}); whether what is left is noise, "
-            "one trial does not tell."
+            f"No effect of the library explains more ({percent(probabilities[NONE])}); one trial cannot show whether "
+            "what is left is noise."
         )
     if kind == "complete":
         return f"Nothing is missing within the noise ({percent(probabilities[NONE])})."
@@ -212,7 +212,7 @@ def sentence(
 
 
 def _part(axis: str, found: AxisVerdict, registry: Registry) -> str:
-    """What is clear of one axis by itself; empty where nothing is."""
+    """What is clear about one axis by itself; empty if nothing is."""
     before, _ = found.floors
     clear = [name for name, p in found.marginals.items() if p >= CLEAR]
     if clear:
@@ -238,7 +238,7 @@ def percent(probability: float) -> str:
 
 
 def in_words(name: str, registry: Registry) -> str:
-    """A candidate as people say it: "backlash on x"."""
+    """A candidate in words: "backlash on x"."""
     effect, _, place = name.partition(".")
     title = registry.effects[effect].title if effect in registry.effects else effect
     words = title if title.startswith(NAMES) else f"{title[0].lower()}{title[1:]}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the data pin the fitted values down: 95 % intervals and what cannot be told apart.
+"""How well the data determine the fitted values: 95 % intervals, and combinations that are not identifiable.
 
 Residuals of a roll-out are correlated in time, so the textbook covariance is far too narrow. In the sandwich estimator
 used here the residuals' autocovariance stands between the slopes, weighted by Bartlett's window within each unbroken
@@ -16,7 +16,7 @@ from scipy.stats import norm
 from labyrinth_sim.trials import Array
 
 CHI2_95 = 3.84  # quantile of chi-squared with one degree of freedom
-TRADE_OFF = 0.97  # correlation of two values from which they are told together: a quarter of either one's width is left
+TRADE_OFF = 0.97  # correlation from which two values are reported together: a quarter of either one's width is left
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Intervals:
 
 
 def unknown_intervals(k: int) -> Intervals:
-    """What is said of k values when nobody had the time to look."""
+    """Intervals of k values that were not computed."""
     nothing = np.full(k, np.nan)
     return Intervals(nothing, nothing, np.empty((0, k)), 0, np.full((k, k), np.nan))
 
@@ -122,7 +122,7 @@ def widened(found: Intervals, more: Array) -> Intervals:
 def trade_offs(
     found: Intervals, values: Array, span: Array, names: tuple[str, ...], shifts: Array | None = None
 ) -> list[str]:
-    """What is known of two values together where neither is known well by itself, one sentence for each such pair.
+    """What is known about two values together if neither is known well by itself, one sentence for each such pair.
 
     Args:
         values, span: (k,) of the fit and of the bounds, in the values' units.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one axis goes through while recorded commands are played on a model, and forces over time added meanwhile."""
+"""The motion of one axis while recorded commands are played on a model, with forces over time added."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ class Motion:
     Attributes:
         time: (K,) s since the start.
         angle, speed: (K,).
-        direction: (K,) sign of the last speed worth the name, 0 before the first.
+        direction: (K,) sign of the last speed above STANDSTILL, 0 before the first.
         since: (K,) s since the direction last changed.
         load: (K,) absolute torque that the gear carries, motor against load.
         drive: (K,) of the motor, signed.
         command: (K,) target during each step, NaN where the drive is off.
-        other: (K,) angle of the first other axis; empty where there is none.
+        other: (K,) angle of the first other axis; empty if there is none.
     """
 
     time: Array
@@ -120,7 +120,7 @@ class Playing:
         plays: recorded.
         axis: short name.
         signals: compared.
-        free: full names of values that may move besides.
+        free: full names of values that may also move.
         at_load: whether forces act on the load's joint.
     """
 
@@ -160,7 +160,7 @@ class Playing:
         return self.evidence[play](np.hstack([free, rows]))
 
     def motion(self, play: int, force: Array | None = None) -> Motion:
-        """What the axis goes through under a force over time (K,) N m, none by default."""
+        """The axis's motion under a force over time (K,) N m, none by default."""
         evidence = self.evidence[play]
         count = evidence.count(0)
         self.forces.table = np.zeros((1, count)) if force is None else np.asarray(force)[None]

@@ -3,7 +3,7 @@
 
 Forces at nodes 20 ms apart, linear between them, solve a least-squares problem in the residuals of positions and
 efforts together, linearised about the roll-out; then once more about the roll-out with the force found. Its bandwidth
-is the smoothness that predicts samples best that were left out.
+is the smoothness that best predicts samples that were left out.
 """
 
 from collections.abc import Sequence
@@ -44,8 +44,8 @@ class PlayAnswer:
         motion: of the axis, with the missing force added.
         nodes: (n,) s.
         residuals: (R,) that the model leaves without any force.
-        answer: (R, n) by the force at each node, 1/(N m); few of them, for a push is soon forgotten.
-        base: (R, k) by the values refitted besides, each in shares of its span.
+        answer: (R, n) by the force at each node, 1/(N m); few of them, because a push decays soon.
+        base: (R, k) by the values that are also refitted, each in shares of its span.
         time: (R,) s; `signal` (R,) which of the compared; `fold` (R,) stretch of time.
         scale: (R,) the noise floor in the signal's unit.
         force, band: (n,) N m missing, and its standard deviation.
@@ -111,7 +111,7 @@ def missing_force(
     Args:
         model: refitted.
         plays: recorded.
-        part: of the axis: what is compared, and the values that may move besides.
+        part: of the axis: what is compared, and the values that may also move.
         at_load: whether the force acts behind the belt, on the load's joint.
     """
     search = axis_search(model, plays, part, SearchOptions((), nthread))
@@ -154,11 +154,11 @@ def missing_force(
 
 @dataclass(frozen=True)
 class MissingOffset:
-    """What a sensor would be off by over time, were it alone to blame.
+    """Error of a sensor over time, if it alone caused the misfit.
 
     Attributes:
         signal: its name; `unit` SI, of the offset.
-        time, offset, band: of each play (n,) s, the offset to be added to what the model says, its standard deviation.
+        time, offset, band: for each play (n,) s, the offset to be added to the model's signal, its standard deviation.
         floors: mean square that the model leaves of the signal, without the offset and with it.
     """
 
@@ -176,7 +176,7 @@ class MissingOffset:
 
 
 def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
-    """The offset that one sensor lacks, as smooth as predicts left-out samples best.
+    """The offset that would explain one sensor's misfit, with the smoothness that best predicts left-out samples.
 
     Args:
         number: of the signal among those compared.
@@ -250,7 +250,7 @@ def _linearised(
     samples, columns, answers = [], [], []
     for row in range(rows):
         own = np.arange(row, len(nodes), apart)
-        # Of several pushes the last one before a sample is what it answers; a node acts from the one before on.
+        # A sample answers the last of several pushes before it; a node acts from the previous one on.
         last = np.searchsorted(nodes[own] - (nodes[1] - nodes[0]), time, side="right") - 1
         known = np.flatnonzero(last >= 0)
         samples.append(known)
@@ -273,7 +273,7 @@ def _linearised(
 
 def _penalised(gram: csr_array, weight: float) -> Array:
     """(b, n) lower bands of the Cholesky factor of `gram` (n, n) with a penalty on the squared curvature, and a little
-    on the force itself, where nothing is seen of it.
+    on the force itself, where it has no visible effect.
     """
     count = gram.shape[0]
     bends = diags_array([1.0, -2.0, 1.0], offsets=(0, 1, 2), shape=(count - 2, count))
@@ -304,7 +304,7 @@ def _smoothed(residuals: Array, answer: csr_array, weight: float) -> tuple[Array
 
 
 def _bandwidth(parts: Sequence[tuple[Array, csr_array]]) -> float:
-    """The weight of the curvature by which left-out samples are predicted best."""
+    """The weight of the curvature that best predicts left-out samples."""
     costs = np.zeros(len(SMOOTH))
     for residuals, answer in parts:
         fold = (np.arange(len(residuals)) // LEFT_OUT) % FOLDS

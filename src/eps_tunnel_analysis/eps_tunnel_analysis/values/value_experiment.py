@@ -3,7 +3,7 @@
 
 Fisher information of each part of the commands of a menu, at the model's values, over the noise of the signals. Each
 axis takes one part after another, always the one that narrows its values most for its time (D-optimal, greedily), and
-all axes move at the same time. What runs into a stop by the model tells of the stop, and is left out.
+all axes move at the same time. What runs into a stop on the model would show the stop, and is left out.
 """
 
 import math
@@ -33,8 +33,8 @@ SECONDS = 12.0  # of motion, unless asked otherwise
 BLOCK = 2.0  # s, of the parts into which a command of the menu is cut: so long, or one shape more
 BACK = 0.4  # s to return to rest after a command that ends elsewhere
 DIFFERENCE = 1e-3  # of the finite differences, normalised
-PRIOR = 1.0  # deviation, in shares of its span, that is known of a value without any recording
-NOISE = 3e-4  # rad or m, of a sensor of which nothing is known
+PRIOR = 1.0  # standard deviation of a value, in shares of its span, without any recording
+NOISE = 3e-4  # rad or m, of a sensor about which nothing is known
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def value_experiment(
 
     Args:
         model: with its values as far as they are known.
-        plays: what was recorded already; without any all is to be learnt.
+        plays: what was recorded already; without any, nothing is known of the values.
         patterns: values to narrow, as `drive.x.*`; what is free by default.
         seconds: of motion, at most.
 
@@ -187,7 +187,7 @@ def _of_answers(answers: Array, steps: Array, signals: Sequence[str], noise: Map
 
 
 def _noise(model: Model, plays: Sequence[Play]) -> dict[str, float]:
-    """Measured position -> how exactly a mean over trials tells it; what the sensor resolves where nothing says."""
+    """Measured position -> standard deviation of its mean over trials; the sensor's resolution without any plays."""
     positions = [m for m in model.rig.measured if m.quantity == "position"]
     found = {m.signal: max(m.resolution / 12**0.5, NOISE) for m in positions}
     if plays:
