@@ -67,7 +67,7 @@ def differing(
     simulated = objective(values[None])[0] + objective.mean
     starts = list(start_changes(objective, plays, problem, z, residuals))
     quantile = norm.ppf(1.0 - 0.5 * WRONGLY / (len(bags) * len(free)))
-    found = []
+    differences = []
     for bag in bags:
         mean, share = _mean_of(objective, plays, bag)
         seen = np.isfinite(mean)
@@ -87,9 +87,9 @@ def differing(
         half = quantile * deviation
         for i in np.flatnonzero(np.abs(step) > half):
             at = free[i]
-            found.append(Differing(bag, problem.names[at], problem.units[at], float(values[at]),
+            differences.append(Differing(bag, problem.names[at], problem.units[at], float(values[at]),
                                    float(values[at] + step[i] * span[i]), float(half[i] * span[i])))  # fmt: skip
-    return tuple(found)
+    return tuple(differences)
 
 
 def _bags(play: Play) -> list[str]:

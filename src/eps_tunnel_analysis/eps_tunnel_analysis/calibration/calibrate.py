@@ -195,12 +195,12 @@ def judge_rig(
     alike, seen = np.zeros((len(ks), len(names))), np.zeros(len(names))
     for play in plays:
         real = play.trials.select(names)
-        found = rig_against_itself(real, ks)
-        if not found:
+        itself = rig_against_itself(real, ks)
+        if not itself:
             continue
         samples = (~np.isnan(real.values)).any(axis=0).sum(axis=0)  # (m,)
         seen += samples
-        alike += samples * np.nan_to_num([[at.shares[name] for name in names] for at in found])
+        alike += samples * np.nan_to_num([[at.shares[name] for name in names] for at in itself])
     shares = alike / np.maximum(seen, 1)
     return {name: dict(zip(ks, shares[:, i].tolist(), strict=True)) for i, name in enumerate(names) if seen[i]}
 
@@ -307,14 +307,14 @@ def calibrate(
             interrupted = True
         try:
             residuals, slopes = _around(evaluations)
-            found = intervals(slopes, residuals, problem.blocks)
+            interval = intervals(slopes, residuals, problem.blocks)
             at = objective, fitted, problem, evaluations.best, residuals, slopes
             lacking = discrepancy(*at)
-            found = widened(found, np.hypot(lacking.deviation, start_pose_deviation(*at)))
+            interval = widened(interval, np.hypot(lacking.deviation, start_pose_deviation(*at)))
             apart = differing(*at, lacking.deviation)
         except KeyboardInterrupt:  # again: the user wants the values now, without intervals
             interrupted = True
-            residuals, slopes, found = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
+            residuals, slopes, interval = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
             lacking, apart = Discrepancy(np.empty((0, problem.size))), ()
     finally:
         if journal:
@@ -328,7 +328,7 @@ def calibrate(
         judge = _fitness(unseen, settings)
         after_held = [float(f) for f in judge(unseen(np.stack([problem.start, values])))]
     span = problem.high - problem.low
-    half = found.half_width * span
+    half = interval.half_width * span
     return Fit(
         method=method.name,
         fitness=settings.fitness,
@@ -353,8 +353,8 @@ def calibrate(
         seconds=time.monotonic() - started,
         history=tuple(evaluations.history),
         warnings=(
-            *_warnings(problem, at_bound, found, gain, interrupted),
-            *_doubts(found, lacking, values, span, problem),
+            *_warnings(problem, at_bound, interval, gain, interrupted),
+            *_doubts(interval, lacking, values, span, problem),
             *(one.sentence for one in apart),
         ),
         about=settings.about,
@@ -406,36 +406,38 @@ def promised_gain(slopes: Array, residuals: Array) -> float:
 
 
 def _warnings(
-    problem: Problem, at_bound: NDArray[np.bool_], found: Intervals, gain: float, interrupted: bool
+    problem: Problem, at_bound: NDArray[np.bool_], interval: Intervals, gain: float, interrupted: bool
 ) -> tuple[str, ...]:
-    told = []
+    warnings = []
     if interrupted:
-        told.append("The fit was interrupted; the values are the best until then.")
+        warnings.append("The fit was interrupted; the values are the best until then.")
     elif gain >= PROMISED_GAIN:
-        told.append(
+        warnings.append(
             f"The fit has not converged: the slope promises another {100 * gain:.0f} % of the squared error. "
             "Give it more evaluations or another seed."
         )
     for name, bound in zip(problem.names, at_bound, strict=True):
         if bound:
-            told.append(f"{name} lies at its bound: the truth may lie beyond, or it stands in for a missing effect.")
-    for direction in found.loose:
-        told.append(
+            warnings.append(
+                f"{name} lies at its bound: the truth may lie beyond, or it stands in for a missing effect."
+            )
+    for direction in interval.loose:
+        warnings.append(
             f"Not identifiable from these commands: {combination(direction, problem.names)} (in shares of the bounds) "
             "can change without the data objecting. Fix one of them, or record commands that excite it."
         )
-    return tuple(told)
+    return tuple(warnings)
 
 
-def _doubts(found: Intervals, lacking: Discrepancy, values: Array, span: Array, problem: Problem) -> list[str]:
+def _doubts(interval: Intervals, lacking: Discrepancy, values: Array, span: Array, problem: Problem) -> list[str]:
     """What the intervals do not say by themselves."""
-    told = trade_offs(found, values, span, problem.names, lacking.shifts)
+    warnings = trade_offs(interval, values, span, problem.names, lacking.shifts)
     if lacking.likely:
-        told.append(
+        warnings.append(
             "The model leaves more than noise, so the intervals allow for what a missing effect would have shifted (of "
             f"those tried, {lacking.likely} explains most to first order). `diagnose` names it."
         )
-    return told
+    return warnings
 
 
 #: Called before each fit with its part and its likely number of evaluations; gives what reports the fit's progress.
@@ -516,13 +518,15 @@ def _changes(plays: Sequence[Play], held_out: bool, before: _Judged, after: _Jud
 def _worse(plays: Sequence[PlayChange]) -> list[str]:
     """Recordings that a fit made worse, which a mean over all recordings hides."""
     worse = [play for play in plays if play.change > WORSE]
-    told = [
+    listed = [
         f"{p.name} ({'held out' if p.held_out else 'fitted'}), {shown_value(p.before, p.unit)} before, "
         f"{shown_value(p.after, p.unit)} after"
         for p in worse[:WORSE_LISTED]
     ]
     more = f"; {len(worse) - WORSE_LISTED} more" if len(worse) > WORSE_LISTED else ""
-    return [f"Worse than before on {len(worse)} of {len(plays)} recordings: {'; '.join(told)}{more}."] if worse else []
+    return (
+        [f"Worse than before on {len(worse)} of {len(plays)} recordings: {'; '.join(listed)}{more}."] if worse else []
+    )
 
 
 def calibrate_model(
@@ -559,9 +563,9 @@ def calibrate_model(
         journal = settings.journal
         if journal is not None and part.axis:
             journal = journal.with_name(f"{journal.name}.{part.axis}")
-        mine = replace(settings, signals=part.signals, held_out=held, journal=journal)
+        own = replace(settings, signals=part.signals, held_out=held, journal=journal)
         bar = bars(part, settings.budget or settings.optimiser().budget) if bars else None
-        fit = calibrate(fitted, part.free, [plays[i] for i in part.plays], mine, bar)
+        fit = calibrate(fitted, part.free, [plays[i] for i in part.plays], own, bar)
         fits.append(fit)
         fitted = fitted.with_values(fit.values, "fitted")
         if fit.interrupted:

@@ -32,13 +32,13 @@ def validity_of(
     """
     every = [*plays, *held]
     try:
-        found = ranges([play.trials for play in every], [roll_out(model, play) for play in every])
+        spans = ranges([play.trials for play in every], [roll_out(model, play) for play in every])
     except Diverged:
         return None
     for score in judge(model, held or plays):
-        if score.signal in found:
-            found[score.signal] = replace(found[score.signal], error=score.error)
-    return Validity(found, tuple(p.name for p in held), tuple(_recorded(path, digest) for path, digest in bags))
+        if score.signal in spans:
+            spans[score.signal] = replace(spans[score.signal], error=score.error)
+    return Validity(spans, tuple(p.name for p in held), tuple(_recorded(path, digest) for path, digest in bags))
 
 
 def _recorded(bag: Path, digest: str) -> str:
@@ -64,7 +64,7 @@ def _first_stamp(bag: Path) -> int:
     """ns since 1970."""
     file = bag / "metadata.yaml"
     if file.is_file():
-        told = read_yaml(file).value(("rosbag2_bagfile_information", "starting_time", "nanoseconds_since_epoch"))
-        if isinstance(told, int):
-            return told
+        stamp = read_yaml(file).value(("rosbag2_bagfile_information", "starting_time", "nanoseconds_since_epoch"))
+        if isinstance(stamp, int):
+            return stamp
     return min(topic.log_times[0] for topic in read_bag(bag).topics.values() if topic.log_times)

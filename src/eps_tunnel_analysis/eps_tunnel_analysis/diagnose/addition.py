@@ -197,11 +197,11 @@ def _doubts(axis: AxisDiagnosis, names: Collection[str], fitted: Mapping[str, fl
     # A drive's value that stays as stated is not worth a message; an effect's that stays switched off is.
     kept = np.abs(values - search.start[columns]) < close
     near &= ~kept | (columns >= len(search.library.base))
-    said = [
+    sentences = [
         f"{search.library.names[i]} lies at its bound, {value:.4g}: the truth may lie beyond, or it stands "
         "in for something else."
         for i, value in zip(columns[near], values[near], strict=True)
     ]
     if own and not refit.converged:
-        said.append(f"The fit of {' + '.join(refit.effects)} has not converged: other values may fit better.")
-    return said
+        sentences.append(f"The fit of {' + '.join(refit.effects)} has not converged: other values may fit better.")
+    return sentences

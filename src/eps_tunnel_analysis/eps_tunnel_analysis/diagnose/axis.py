@@ -78,11 +78,11 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
     firm = search.as_stated()
     start = np.where(search.firmness > 0.0, search.start, base.values)
     (stated,) = firm.refit([((), start)], ROUNDS)
-    few = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
-    tried = firm.trial_points([stated], few)
-    found = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
+    quick = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
+    tried = firm.trial_points([stated], quick)
+    refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
     search.evaluations = firm.evaluations
-    return [(tuple(search.library.find(n) for n in r.effects), r.values) for r in found[:STATED_KEPT]]
+    return [(tuple(search.library.find(n) for n in r.effects), r.values) for r in refits[:STATED_KEPT]]
 
 
 def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], shortlist: float) -> list[Job]:
@@ -168,13 +168,13 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
             start = _contained(search, refit, smaller)
             if start is not None:
                 jobs.append((tuple(search.library.find(n) for n in refit.effects), start))
-    found = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
+    by_set = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
 
     def misfits(refit: Refit) -> bool:
-        return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in found)
+        return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in by_set)
 
-    bare = next(r for r in found if not r.effects)
-    return bare, [replace(refit, converged=not misfits(refit)) for refit in found if refit.effects]
+    bare = next(r for r in by_set if not r.effects)
+    return bare, [replace(refit, converged=not misfits(refit)) for refit in by_set if refit.effects]
 
 
 def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
@@ -184,11 +184,11 @@ def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
     several, single = ([r for r in ordered if (len(r.effects) > 1) == many] for many in (True, False))
     for refit in (*several[:TAKEN_APART], *single[:TAKEN_APART]):
         for name in refit.effects:
-            left = tuple(search.library.find(n) for n in refit.effects if n != name)
+            kept = tuple(search.library.find(n) for n in refit.effects if n != name)
             values, columns = refit.values.copy(), search.columns(search.library.find(name))
             values[columns] = search.start[columns]
-            if not left or {c.name for c in left} not in [{c.name for c in other} for other, _ in jobs]:
-                jobs.append((left, np.clip(values, search.low, search.high)))
+            if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
+                jobs.append((kept, np.clip(values, search.low, search.high)))
     return jobs
 
 
@@ -197,10 +197,10 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
     cannot.
     """
     values = smaller.values.copy()
-    left = [name for name in larger.effects if name not in smaller.effects]
+    added = [name for name in larger.effects if name not in smaller.effects]
     for name in (n for n in smaller.effects if n not in larger.effects):
         own = search.library.find(name)
-        wider = [c for c in map(search.library.find, left)
+        wider = [c for c in map(search.library.find, added)
                  if c.place == own.place and own.effect.name in [name for _, name, _ in c.effect.contains]]  # fmt: skip
         if not wider:
             return None
@@ -210,10 +210,10 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
                 number = its if isinstance(its, float) else smaller.values[search.columns(own)[_place(own, its)]]
                 values[search.columns(general)[_place(general, parameter)]] = number
         values[search.columns(own)] = search.start[search.columns(own)]
-        left.remove(general.name)
+        added.remove(general.name)
     if set(smaller.effects) == set(larger.effects):
         return None
-    for name in left:  # new effects begin weak, because at their off values they have no slope
+    for name in added:  # new effects begin weak, because at their off values they have no slope
         candidate = search.library.find(name)
         for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
             if p.off is not None:
@@ -398,12 +398,12 @@ def _judged(
     ranked = partial(rank, whole, hypotheses, search.folds, search.blocks, tried, level=level,
                      drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
     even = ranked()
-    found = AxisDiagnosis(
+    diagnosis = AxisDiagnosis(
         part, search, base, tuple(refits), (alone, *hypotheses), _uneven(even) if uneven else even, even,
         tuple(r for _, r in differ),
     )  # fmt: skip
-    parts = {name: ranked(asked=found.samples_of(name)) for name in part.axes} if len(part.axes) > 1 else {}
-    return replace(found, parts={name: _uneven(r) if uneven else r for name, r in parts.items()})
+    parts = {name: ranked(asked=diagnosis.samples_of(name)) for name in part.axes} if len(part.axes) > 1 else {}
+    return replace(diagnosis, parts={name: _uneven(r) if uneven else r for name, r in parts.items()})
 
 
 def _uneven(ranking: Ranking) -> Ranking:
@@ -456,8 +456,10 @@ def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> 
     columns = search.fitted(refit)
     span = search.spans[columns]
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
-    left = left_out(search.jacobian(refit), refit.residuals, search.folds, room, search.firmness[columns])
-    return Hypothesis(refit, left, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values))
+    predicted = left_out(search.jacobian(refit), refit.residuals, search.folds, room, search.firmness[columns])
+    return Hypothesis(
+        refit, predicted, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values)
+    )
 
 
 def floor_known(plays: Sequence[Play]) -> bool:

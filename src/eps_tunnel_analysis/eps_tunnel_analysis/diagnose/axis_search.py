@@ -153,15 +153,15 @@ def joined(model: Model, parts: Sequence[AxisPart]) -> list[AxisPart]:
     """
     couples = any(use.effect.couples for use in model.effects)
     groups = [tuple(a.name for a in model.rig.axes)] if couples else coupled_axes(model)
-    found = []
+    merged = []
     for group in groups:
         own = [p for p in parts if set(p.axes) & set(group)]
         free = [n for p in own for n in p.base[: len(p.base) - p.rough]]
         rough = [n for p in own for n in p.base[len(p.base) - p.rough :]]
         if own:
             signals = tuple(n for p in own for n in p.signals)
-            found.append(AxisPart(tuple(n for p in own for n in p.axes), signals, (*free, *rough), len(rough)))
-    return found
+            merged.append(AxisPart(tuple(n for p in own for n in p.axes), signals, (*free, *rough), len(rough)))
+    return merged
 
 
 def ball_part() -> AxisPart:

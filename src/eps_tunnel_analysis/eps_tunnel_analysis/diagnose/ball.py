@@ -35,8 +35,8 @@ def on_ball(effect: Effect) -> bool:
 def split(only: Iterable[str] | None, known: Mapping[str, Effect]) -> tuple[list[str], list[str]]:
     """Names of effects to consider, of those `known`, on the axes and on the ball."""
     names = list(known if only is None else only)
-    mine = [n for n in names if (own := known.get(n.partition(".")[0])) and on_ball(own)]
-    return [n for n in names if n not in mine], mine
+    of_ball = [n for n in names if (own := known.get(n.partition(".")[0])) and on_ball(own)]
+    return [n for n in names if n not in of_ball], of_ball
 
 
 def sees_ball(model: Model, plays: Sequence[Play]) -> bool:
@@ -55,8 +55,8 @@ def without_ball(play: Play) -> Play:
 
 def values_of(model: Model) -> set[str]:
     """Full names of the model's values that belong to the ball."""
-    mine = [use for use in model.effects if on_ball(use.effect)]
-    return {f"{use.effect.name}.{use.place}.{p.name}" for use in mine for p in use.effect.parameters}
+    of_ball = [use for use in model.effects if on_ball(use.effect)]
+    return {f"{use.effect.name}.{use.place}.{p.name}" for use in of_ball for p in use.effect.parameters}
 
 
 def inexactness(time: Array) -> Array:

@@ -55,9 +55,9 @@ def fitted_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart],
     chosen = [p for p in parts if p.base]
     bases = Bases()
     for together in (chosen, [group for group in joined(model, chosen) if len(group.axes) > 1]):
-        found = side_by_side(partial(_fitted, model, plays, bases), together, run)
-        bases = Bases({n: v for one in (bases, *found) for n, v in one.values.items()},
-                      bases.evaluations + sum(one.evaluations for one in found))  # fmt: skip
+        fits = side_by_side(partial(_fitted, model, plays, bases), together, run)
+        bases = Bases({n: v for one in (bases, *fits) for n, v in one.values.items()},
+                      bases.evaluations + sum(one.evaluations for one in fits))  # fmt: skip
     return bases
 
 
@@ -132,8 +132,8 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
         search.settle_at(result)
         away = search.refit([((), point) for point in along_valley(search, result)], BASE_ROUNDS) if not number else []
         before = result
-        found = search.judged([((), r.values) for r in (result, *away)], BASE_ROUNDS)
-        result = min([before, *found], key=lambda r: r.objective)
+        finished = search.judged([((), r.values) for r in (result, *away)], BASE_ROUNDS)
+        result = min([before, *finished], key=lambda r: r.objective)
         if result.objective > (1.0 - STANDS) * before.objective:
             break
     if first:
@@ -162,13 +162,13 @@ def better_base(search: Search, base: Refit, points: Sequence[Array]) -> Refit:
     starts = [np.concatenate([point[:size], search.start[size:]]) for point in points] if size else []
     span = search.spans[:size]
     apart = STANDS * max(1.0, base.objective)
-    found = [
+    elsewhere = [
         r.values
         for r in search.refit([((), start) for start in starts], BASE_ROUNDS, rough=False)
         if r.objective < base.objective - apart
         or (r.objective < base.objective + apart and np.any(np.abs(r.values - base.values)[:size] > APART * span))
     ]
-    again = base_from(search, found) if found else base
+    again = base_from(search, elsewhere) if elsewhere else base
     if again.cost < base.cost:
         return again
     search.settle_at(base)
@@ -177,12 +177,12 @@ def better_base(search: Search, base: Refit, points: Sequence[Array]) -> Refit:
 
 def sensed_joints(search: Search) -> list[list[str]]:
     """For each joint whose position is compared, its signals, finest first."""
-    found: dict[str, list[str]] = {}
+    joints: dict[str, list[str]] = {}
     for axis in search.library.model.rig.axes:
         for m in axis.finest_first:
             if m.quantity == "position" and m.signal in search.evidence.signals:
-                found.setdefault(m.joint, []).append(m.signal)
-    return list(found.values())
+                joints.setdefault(m.joint, []).append(m.signal)
+    return list(joints.values())
 
 
 def along_valley(search: Search, refit: Refit) -> list[Array]:

@@ -102,7 +102,7 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
     """
     model.registry.check(only or ())
     present = {(use.effect.name, use.place) for use in model.effects}
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     chosen = None if only is None else set(only)
     for effect in model.registry.effects.values():
         if effect.nameless and chosen is None:
@@ -114,8 +114,8 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
             if not wanted or (effect.name, place) in present:
                 continue
             model = model.with_effect(effect, place, effect.off, "switched off")
-            found.append(candidate(model, effect, place))
-    return Library(model, tuple(base), tuple(found))
+            candidates.append(candidate(model, effect, place))
+    return Library(model, tuple(base), tuple(candidates))
 
 
 def loosely_known(model: Model, name: str) -> bool:
@@ -150,12 +150,12 @@ def with_curves(lib: Library, ranges: Mapping[tuple[str, str], Mapping[str, floa
     Args:
         ranges: (free curve, place) -> the range that it covers, from `law.added_force.visited`.
     """
-    model, found = lib.model, list(lib.candidates)
+    model, candidates = lib.model, list(lib.candidates)
     for (name, place), given in ranges.items():
         effect = model.registry.effect(name)
         model = model.with_effect(effect, place, {**effect.off, **given}, "switched off")
-        found.append(candidate(model, effect, place, given))
-    return replace(lib, model=model, candidates=tuple(found))
+        candidates.append(candidate(model, effect, place, given))
+    return replace(lib, model=model, candidates=tuple(candidates))
 
 
 def axes_of(model: Model, effect: Effect, place: str) -> tuple[str, ...]:

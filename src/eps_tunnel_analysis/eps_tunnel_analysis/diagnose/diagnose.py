@@ -97,14 +97,14 @@ def diagnose(
     experiment = None
     if experiments and kind == "undecided":
         experiment = next_experiment(axes[:judged], base_model, stated, floor_known(plays))
-    said = {name: axis_verdict(a, name, named) for a in axes for name in a.part.axes}
+    verdicts = {name: axis_verdict(a, name, named) for a in axes for name in a.part.axes}
     verdict = Verdict(
         verdict=kind,
         effects=named,
         set=probabilities,
         stated=stated,
         coverage=SETTINGS.coverage,
-        sentence=sentence(kind, named, stated, probabilities, said, model.registry, floor_known(plays)),
+        sentence=sentence(kind, named, stated, probabilities, verdicts, model.registry, floor_known(plays)),
         where=far.where,
         given=far.errors[0],
         before=far.errors[1],
@@ -112,7 +112,7 @@ def diagnose(
         ball=far.ball,
         plays=far.plays,
         rig_against_itself=far.rig_against_itself,
-        axes=said,
+        axes=verdicts,
         values={n: v for n, v in final.values().items() if n in fit_names(axes, named)},
         seed=seed,
         evaluations=bases.evaluations + sum(axis.search.evaluations for axis in axes),

@@ -111,16 +111,16 @@ def shifts_of(
         rest = change - imitated @ slopes.T
         size = np.maximum(np.sum(rest**2, axis=1), 1e-300)
         strength = np.clip(-(rest @ residuals) / size, 0.0, STRONGEST)
-        left = np.mean((residuals + strength[:, None] * rest) ** 2, axis=1)
-        return _TriedEffects(rows, names, strength, -strength[:, None] * imitated, left)
+        remaining = np.mean((residuals + strength[:, None] * rest) ** 2, axis=1)
+        return _TriedEffects(rows, names, strength, -strength[:, None] * imitated, remaining)
 
     first = tried(rows, names)
     best = _best_of_each(first)[:TRIED_AGAIN]
     again = tried(_stronger(lib, off, first, best), tuple(first.names[i] for i in best))
-    left = np.concatenate([first.left, again.left])
+    squares = np.concatenate([first.left, again.left])
     shift = np.concatenate([first.shift, again.shift])
-    near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(COUNTS_FROM)
-    likely = (*first.names, *again.names)[int(np.argmin(left))]
+    near = -0.5 * worth * np.log(np.maximum(squares, 1e-300) / max(squares.min(), 1e-300)) >= np.log(COUNTS_FROM)
+    likely = (*first.names, *again.names)[int(np.argmin(squares))]
     return Discrepancy(shift[near], likely)
 
 

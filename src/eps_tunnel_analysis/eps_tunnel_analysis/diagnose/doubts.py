@@ -67,7 +67,7 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
     stated = [n for n in model.parameters() if n not in part.base and n not in known]
     held = tuple(name for p in by_axis(model, stated, plays, None) if p.axis in part.axes for name in p.free)
     infos = model.parameters()
-    found = []
+    doubted = []
     for name, value in _promising(model, plays, axis, part, held, run)[:REFITTED] if held else ():
         info = infos[name]
         search = axis_search(model, plays, _with(part, (name,)), replace(run, only=()))
@@ -80,8 +80,8 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
         refit = base_from(search, list(points))
         if refit.cost < TELLING * best.cost:
             fitted = float(refit.values[last])
-            found.append(Doubt(name, info.unit, info.source, info.value, fitted, best.cost, refit.cost))
-    return sorted(found, key=lambda d: d.after)
+            doubted.append(Doubt(name, info.unit, info.source, info.value, fitted, best.cost, refit.cost))
+    return sorted(doubted, key=lambda d: d.after)
 
 
 def _promising(
@@ -98,20 +98,20 @@ def _promising(
     here = search.at(values, replace(axis.base, steps=None))
     steps = np.diagonal(search.moved(here) - values)
     slopes = search.changes(here)
-    left = here.residuals
+    residuals = here.residuals
     basis = directions(slopes[:, :size])
     gains = []
     for column, (name, slope) in enumerate(zip(held, slopes[:, size:].T, strict=True), size):
         own = slope - basis @ (basis.T @ slope)
-        along, towards = float(own @ own), -float(own @ left)
+        along, towards = float(own @ own), -float(own @ residuals)
         if not np.isfinite(along) or along * towards == 0.0:
             continue
         wanted = values[column] + towards / along * steps[column]
         value = float(np.clip(wanted, search.low[column], search.high[column]))
         # The part of a parabola's fall that the bounds allow.
         went = (value - values[column]) / (wanted - values[column])
-        gains.append(((2.0 - went) * went * towards**2 / along / float(left @ left), name, value))
-    rest = float(np.sum((left - basis @ (basis.T @ left)) ** 2))
+        gains.append(((2.0 - went) * went * towards**2 / along / float(residuals @ residuals), name, value))
+    rest = float(np.sum((residuals - basis @ (basis.T @ residuals)) ** 2))
     for factor in (2.0, 0.5):
         for column, name in enumerate(held, size):
             point = values.copy()

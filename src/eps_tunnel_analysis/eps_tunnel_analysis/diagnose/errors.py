@@ -62,12 +62,12 @@ def distances(
 
 def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
     """A model compared with each play, positions only, the ball's if it was seen, at the rig's own step."""
-    found = []
+    comparisons = []
     for play in plays:
         ball = BALL_SIGNALS if sees_ball(model, [play]) else ()
         names = [name for name in (*model.rig.positions, *ball) if name in play.trials.signals]
-        found.append(compare(play.trials.select(names), roll_out(model, play).select(names)))
-    return found
+        comparisons.append(compare(play.trials.select(names), roll_out(model, play).select(names)))
+    return comparisons
 
 
 def errors_of(
@@ -102,8 +102,8 @@ def play_errors(
     return tuple(
         tuple(
             PlayError(play.name, kept, _mean_error([c], unit))
-            for group, found, kept in ((plays, a, False), (held, b, True))
-            for play, c in zip(group, found, strict=True)
+            for group, comparisons, kept in ((plays, a, False), (held, b, True))
+            for play, c in zip(group, comparisons, strict=True)
         )
         for a, b in zip(near, far, strict=True)
     )

@@ -235,14 +235,14 @@ class Evidence:
         """(R,) number of the stretch of time, about so long, that each residual belongs to; all signals of a play share
         theirs.
         """
-        found = np.empty(len(self.time), dtype=np.int64)
+        numbers = np.empty(len(self.time), dtype=np.int64)
         first = 0
         for number, play in enumerate(self.plays):
             here = self.blocks // len(self.signals) == number
             parts = max(1, round(play.seconds / seconds))
-            found[here] = first + np.minimum((self.time[here] / play.seconds * parts).astype(np.int64), parts - 1)
+            numbers[here] = first + np.minimum((self.time[here] / play.seconds * parts).astype(np.int64), parts - 1)
             first += parts
-        return found
+        return numbers
 
 
 def _even(width: float, step: float) -> float:

@@ -89,7 +89,7 @@ def menu(model: Model, axis: str) -> dict[str, Command]:
     channels = model.rig.command_channels
     chosen = next(i for i, a in enumerate(model.rig.axes) if a.name == axis)
     reaches = [min(map(abs, a.limits)) if a.limits else RANGE for a in model.rig.axes]
-    found = {}
+    commands = {}
     for share in SHARES:
         for name, shapes, others in _rows(share * reaches[chosen], share):
             label = f"{name}_{axis}_{round(math.degrees(share * reaches[chosen]) * 10):d}"
@@ -97,8 +97,8 @@ def menu(model: Model, axis: str) -> dict[str, Command]:
             rest = [[_scaled(s, reach) for s in others] if others else [Hold(lasts)] for reach in reaches]
             rows = tuple(tuple(shapes) if i == chosen else tuple(rest[i]) for i in range(len(channels)))
             if len(channels) > 1 or not others:
-                found[label] = Command(label, channels, (0.0,) * len(channels), rows)
-    return found
+                commands[label] = Command(label, channels, (0.0,) * len(channels), rows)
+    return commands
 
 
 def _rows(size: float, share: float) -> Iterator[tuple[str, list[Shape], list[Shape]]]:
@@ -147,18 +147,18 @@ def next_experiment(
         floor: whether the noise floor is known; if not, what the best model leaves is the unit.
     """
     named = "the noise floor" if floor else "what is left"
-    found = [(axis, _rivals(axis, stated)) for axis in axes]
-    alone = all(len(rivals) < 2 for _, rivals in found) and UNKNOWN in stated
+    rivals_of = [(axis, _rivals(axis, stated)) for axis in axes]
+    alone = all(len(rivals) < 2 for _, rivals in rivals_of) and UNKNOWN in stated
     offers: list[tuple[Experiment, Harsh]] = []
-    for axis, refits in found:
+    for axis, refits in rivals_of:
         if alone and refits and refits[0].effects:
             refits = [refits[0], axis.base]
         if len(refits) < 2:
             continue
         rivals = [_rival(axis, refit) for refit in refits]
-        told = " and ".join(sorted(r.name for r in rivals))
+        names = " and ".join(sorted(r.name for r in rivals))
         known = _harshest(axis, rivals[0].points[0])
-        start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
+        start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {names}, which differ"
         offered = [(own, item) for own in axis.part.axes for item in menu(model, own).items()]
         for own, (name, command) in offered:
             if was_played(axis.search.evidence, command):
@@ -202,7 +202,7 @@ def was_played(evidence: Evidence, command: Command) -> bool:
 
 def _harshest(axis: AxisDiagnosis, values: Array) -> float:
     """Root mean square jerk of the harshest play so far, rad/s^3, as simulated with these values (K,)."""
-    evidence, found = axis.search.evidence, [0.0]
+    evidence, jerks = axis.search.evidence, [0.0]
     for number in range(len(evidence.plays)):
         time = evidence.times(number)
         played = simulate_batch(
@@ -210,8 +210,8 @@ def _harshest(axis: AxisDiagnosis, values: Array) -> float:
             per_command={name: given[[number]] for name, given in evidence.known.items()},
             signals=_positions(evidence.model), timestep=STEP, nthread=evidence.nthread,
         )  # fmt: skip
-        found.append(harshness(played.values[0, 0], time, 3))
-    return max(found)
+        jerks.append(harshness(played.values[0, 0], time, 3))
+    return max(jerks)
 
 
 def _positions(model: Model) -> tuple[str, ...]:
@@ -233,10 +233,10 @@ def _rivals(axis: AxisDiagnosis, stated: Sequence[str]) -> list[Refit]:
     names = {c.name for c in axis.search.library.candidates}
     chosen: dict[frozenset[str], Refit] = {}
     for name in stated:
-        mine = frozenset(() if name in (NONE, UNKNOWN) else names & set(name.split(" + ")))
-        refit = next((r for r in (axis.base, *axis.refits) if set(r.effects) == mine), None)
+        here = frozenset(() if name in (NONE, UNKNOWN) else names & set(name.split(" + ")))
+        refit = next((r for r in (axis.base, *axis.refits) if set(r.effects) == here), None)
         if name != UNKNOWN and refit is not None:
-            chosen.setdefault(mine, refit)
+            chosen.setdefault(here, refit)
     return list(chosen.values())
 
 
@@ -267,13 +267,13 @@ def _answers(
         nthread=search.evidence.nthread,
     )  # fmt: skip
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
-    mine = model.rig.axis(name)
-    moved = result.values[:, 0][:, :, [every.index(m.signal) for m in mine.measured if m.quantity == "position"]]
-    low, high = (STOP * limit for limit in mine.limits)
+    moved_axis = model.rig.axis(name)
+    moved = result.values[:, 0][:, :, [every.index(m.signal) for m in moved_axis.measured if m.quantity == "position"]]
+    low, high = (STOP * limit for limit in moved_axis.limits)
     stopped = bool(np.nanmin(moved) < low or np.nanmax(moved) > high)
     harsh = Harsh(harshness(angles, time, 2), harshness(angles, time, 3) <= known, stopped)
     late = time - time[0] >= SETTLED
-    channel = model.rig.command_channels.index(mine.command)
+    channel = model.rig.command_channels.index(moved_axis.command)
     calm = late & is_steady(targets[:, channel], time[1] - time[0])
     parts = [
         result.values[:, 0, late if result.units[i] in ("rad", "m") else calm, i] / floors[i]

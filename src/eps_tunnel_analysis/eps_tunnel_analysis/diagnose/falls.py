@@ -77,29 +77,31 @@ def fall_sentences(
     ball = unit == "m" if ball is None else ball
     recordings = [] if ball else by_recording(plays, unit)
     worse = [one for one in recordings if one.change > 1.0]
-    said = []
+    sentences = []
     if worse:
         shown = "; ".join(
             f"{one.name} ({one.row[1]}), {one.row[2]} as given, {one.row[4]} now" for one in worse[:WORSE_LISTED]
         )
         more = f"; {len(worse) - WORSE_LISTED} more" if len(worse) > WORSE_LISTED else ""
-        said.append(f"Worse than the model as given on {len(worse)} of {len(recordings)} recordings: {shown}{more}.")
+        sentences.append(
+            f"Worse than the model as given on {len(worse)} of {len(recordings)} recordings: {shown}{more}."
+        )
     given, refitted, after = errors
     if not math.isfinite(given.error):
         return []  # no signal in this unit
     held = any(one.held_out for one in recordings)
     kept = "On recordings held out" if held else "On stretches of time left out of the fit"
-    said.append(_fall("On what was fitted", (given.error, refitted.error, after.error), unit))
-    said.append(_fall(kept, (given.held_out, refitted.held_out, after.held_out), unit))
+    sentences.append(_fall("On what was fitted", (given.error, refitted.error, after.error), unit))
+    sentences.append(_fall(kept, (given.held_out, refitted.held_out, after.held_out), unit))
     if not ball:
         alike = [shown_share(e.alikeness) for e in errors]
-        said.append(
+        sentences.append(
             f"Alikeness at k = 1: {alike[0]} as given, {alike[1]} with its values refitted, {alike[2]} now"
             f"{of_rig(itself)}."
         )
     if after.held_out >= refitted.held_out:
-        said.append("On what was not fitted it is no better than refitted values alone: leave it out.")
-    return said
+        sentences.append("On what was not fitted it is no better than refitted values alone: leave it out.")
+    return sentences
 
 
 def of_rig(itself: float) -> str:

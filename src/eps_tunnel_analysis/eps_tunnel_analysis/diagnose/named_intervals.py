@@ -40,7 +40,7 @@ def named_intervals(
         No entry for values that do not affect the recordings, which were left as stated.
     """
     values, infos = model.values(), model.parameters()
-    found: dict[str, tuple[float, float]] = {}
+    bounds: dict[str, tuple[float, float]] = {}
     for axis in axes:
         search = copy.copy(axis.search)
         search.progress = None  # its display has ended
@@ -55,13 +55,13 @@ def named_intervals(
         for column, width, least, most in zip(columns, half, lowest, highest, strict=True):
             name = search.library.names[column]
             low, high = min(values[name], float(least)) - width, max(values[name], float(most)) + width
-            found[name] = (float(max(low, infos[name].low)), float(min(high, infos[name].high)))
-    return found
+            bounds[name] = (float(max(low, infos[name].low)), float(min(high, infos[name].high)))
+    return bounds
 
 
-def intervals_json(found: Mapping[str, tuple[float, float]]) -> dict[str, list[float]]:
+def intervals_json(bounds: Mapping[str, tuple[float, float]]) -> dict[str, list[float]]:
     """Name -> [low, high]."""
-    return {name: [low, high] for name, (low, high) in found.items()}
+    return {name: [low, high] for name, (low, high) in bounds.items()}
 
 
 def profile(search: Search, refit: Refit, column: int) -> float:
@@ -107,13 +107,13 @@ def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
     if not np.isfinite(slopes).all():
         return np.full(len(columns), np.nan)
     blocks = search.blocks.astype(float)
-    found = intervals(slopes, refit.residuals, blocks, held=firm, held_variance=SETTINGS.correlated)
+    statistical = intervals(slopes, refit.residuals, blocks, held=firm, held_variance=SETTINGS.correlated)
     inverse = np.linalg.pinv(np.vstack([slopes, np.diag(firm)]))
     off = firm * ((refit.values - search.start) / search.spans)[list(columns)]
     step = inverse @ np.concatenate([refit.residuals, off])
     inverse = inverse[:, : len(slopes)]
     more = np.hypot(_by_start(search, refit, inverse), _by_effects(search, refit, slopes, inverse))
-    half = widened(found, np.hypot(more, step)).half_width
+    half = widened(statistical, np.hypot(more, step)).half_width
     size = np.hypot(np.linalg.norm(slopes, axis=0), firm)
     return np.where(size > UNMOVED * size.max(), half, np.inf)
 

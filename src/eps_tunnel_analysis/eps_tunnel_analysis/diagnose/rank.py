@@ -102,11 +102,11 @@ class Ranking:
     @property
     def marginals(self) -> dict[str, float]:
         """Effect -> probability that it is missing, whatever else is."""
-        found: dict[str, float] = {}
+        totals: dict[str, float] = {}
         for ranked in self.ranked:
             for name in ranked.effects:
-                found[name] = found.get(name, 0.0) + ranked.probability
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+                totals[name] = totals.get(name, 0.0) + ranked.probability
+        return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
 def name_of(effects: Sequence[str]) -> str:
@@ -130,9 +130,9 @@ def left_out(
         room: how far down and up each value may go, (k,) each.
         firmness: (k,) how firmly each value is expected to be as stated; None if all are free.
     """
-    found = residuals.copy()
+    predicted = residuals.copy()
     if not jacobian.shape[1]:
-        return found
+        return predicted
     whole = jacobian.T @ jacobian
     if firmness is not None:
         whole += np.diag(firmness**2)
@@ -143,17 +143,17 @@ def left_out(
         here = folds == fold
         own = jacobian[here] * unit
         change = _within(whole - (1.0 - KEPT) * own.T @ own, own.T @ residuals[here], -room[0] / unit, room[1] / unit)
-        found[here] = residuals[here] + own @ change
-    return found
+        predicted[here] = residuals[here] + own @ change
+    return predicted
 
 
 def _within(matrix: Array, right: Array, low: Array, high: Array) -> Array:
     """(k,) the minimum of x A x / 2 - b x, with A (k, k) positive definite, between two bounds that include 0."""
-    found = np.linalg.solve(matrix, right)
-    if np.any((found < low) | (found > high)):
+    solution = np.linalg.solve(matrix, right)
+    if np.any((solution < low) | (solution > high)):
         half = np.linalg.cholesky(matrix)
-        found = lsq_linear(half.T, np.linalg.solve(half, right), (low, np.maximum(high, low + TINY))).x
-    return np.asarray(found)
+        solution = lsq_linear(half.T, np.linalg.solve(half, right), (low, np.maximum(high, low + TINY))).x
+    return np.asarray(solution)
 
 
 def independent(residuals: Array, blocks: NDArray[np.int64]) -> float:
@@ -268,11 +268,11 @@ def _of_worst_signal(
     numbers, counts = np.unique(signals[asked], return_counts=True)
     parts: list[NDArray[np.bool_]] = [asked]
     parts += [signals == number for number in numbers[counts >= FEWEST]]
-    found = []
+    columns = []
     for r in residuals:
         here = max(parts, key=lambda part: float(np.mean(r[part] ** 2)))
-        found.append(_costs([r * here], folds, weights, here)[:, 0])
-    return np.column_stack(found)
+        columns.append(_costs([r * here], folds, weights, here)[:, 0])
+    return np.column_stack(columns)
 
 
 def _draws(folds: int) -> Array:
@@ -301,7 +301,7 @@ def _probabilities(
         curve: (d,) floors left by the best free curve.
         worth: independent samples.
     """
-    base, left = worst[:, 0], worst[:, 1:]
+    base, remaining = worst[:, 0], worst[:, 1:]
     if not len(hypotheses):
         # As if something had been tried that explains no more.
         lacking = (
@@ -309,7 +309,7 @@ def _probabilities(
             if floor
             else np.zeros_like(base)
         )
-        return 1.0 - lacking, left, lacking
+        return 1.0 - lacking, remaining, lacking
     known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # because no form is exact
     before = np.maximum(base, level)
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
@@ -318,7 +318,7 @@ def _probabilities(
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
     beyond_noise = np.maximum(before - 1.0, 0.0)
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
-    scores += np.log(np.maximum(_needed(hypotheses, base, left, beyond_noise, kept, floor), 1e-300))
+    scores += np.log(np.maximum(_needed(hypotheses, base, remaining, beyond_noise, kept, floor), 1e-300))
     # A value far from the stated one counts as evidence like a misfit.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
     alone = -0.5 * worth * _surprise(costs[:, 0] / known) - 0.5 * bare.strain
@@ -329,13 +329,13 @@ def _probabilities(
         others = top + np.log(np.exp(scores - top[:, None]).sum(axis=1))
         none = 1.0 / (1.0 + np.exp(np.clip(others - alone, -700.0, 700.0)))
         return none, shares * (1.0 - none)[:, None], np.zeros_like(none)
-    best = left.min(axis=1)
+    best = remaining.min(axis=1)
     gain = np.log(np.maximum(base, 1e-12) / np.maximum(np.minimum(best, curve), 1e-12)) - 2.0 * SETTINGS.width
     allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     formed = np.maximum(kept * np.maximum(base - 1.0, 0.0)[:, None], np.maximum(level - 1.0, 0.0))
-    beyond = _soft(np.log(np.maximum(left, 1e-12) / (SETTINGS.healthy + SETTINGS.form * formed)))
-    excess = (left - curve[:, None]) / _curve_room(before, curve)[:, None]
+    beyond = _soft(np.log(np.maximum(remaining, 1e-12) / (SETTINGS.healthy + SETTINGS.form * formed)))
+    excess = (remaining - curve[:, None]) / _curve_room(before, curve)[:, None]
     formless = _soft(np.log(np.maximum(excess, 1e-12)))
     explained = (1.0 - beyond) * (1.0 - formless)
     named = shares * explained * (1.0 - none)[:, None]
@@ -359,7 +359,7 @@ def _needed(
         misfit: (d,) floors beyond the noise.
         kept: (h,) share of them by which the form of each hypothesis counts.
     """
-    found = np.ones_like(costs)
+    needed = np.ones_like(costs)
     sets = [frozenset(h.refit.effects) for h in hypotheses]
     for i, h in enumerate(hypotheses):
         smaller = [j for j, other in enumerate(sets) if other < sets[i] or other in h.contains]
@@ -368,8 +368,8 @@ def _needed(
         simpler = [(costs[:, j], kept[j]) for j in smaller] or [(base, 1.0)]
         for cost, share in simpler:
             least = np.maximum(SETTINGS.material, SETTINGS.share * share * misfit)
-            found[:, i] = np.minimum(found[:, i], _soft(np.log(np.maximum(cost - costs[:, i], 1e-12) / least)))
-    return found
+            needed[:, i] = np.minimum(needed[:, i], _soft(np.log(np.maximum(cost - costs[:, i], 1e-12) / least)))
+    return needed
 
 
 def _curve_room(base: Array | float, curve: Array | float) -> Array:
@@ -388,18 +388,18 @@ def joint(axes: Sequence[Mapping[str, float]]) -> dict[str, float]:
     Args:
         axes: name of a set of effects, "none" or "unknown" -> probability, for each axis; each sums to 1.
     """
-    found: dict[frozenset[str], float] = {frozenset(): 1.0}
+    sets: dict[frozenset[str], float] = {frozenset(): 1.0}
     unknown = 0.0
     for axis in axes:
         longer: dict[frozenset[str], float] = {}
-        unknown += sum(found.values()) * axis.get(UNKNOWN, 0.0)
-        for names, p in found.items():
+        unknown += sum(sets.values()) * axis.get(UNKNOWN, 0.0)
+        for names, p in sets.items():
             for name, q in axis.items():
                 if name != UNKNOWN:
                     more = names if name == NONE else names | frozenset(name.split(" + "))
                     longer[more] = longer.get(more, 0.0) + p * q
-        found = longer
-    named = {name_of(sorted(names)): p for names, p in found.items()}
+        sets = longer
+    named = {name_of(sorted(names)): p for names, p in sets.items()}
     listed = {name: p for name, p in named.items() if p >= LEAST or name == NONE}
     listed[UNKNOWN] = unknown
     total = sum(listed.values())

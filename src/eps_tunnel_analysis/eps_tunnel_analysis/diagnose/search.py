@@ -216,10 +216,10 @@ class Search:
         A lower bound, from stretches of time that are taken as independent, and never all of it, because noise shakes a
         rig's ticks.
         """
-        found, folds = np.zeros(len(self.evidence.signals)), self.folds
+        shares, folds = np.zeros(len(self.evidence.signals)), self.folds
         moved = self._by_ticks(refit.values)
         if moved is None:
-            return found
+            return shares
         moved = moved / self.scale
         smooth = self.residuals(refit.values[None], "exact")[0] - moved
         for number in np.unique(self.signal):
@@ -228,8 +228,8 @@ class Search:
             if size.sum() > 0.0:
                 share = along.sum() / size.sum()
                 deviation = float(np.sqrt(np.sum((along - share * size) ** 2))) / size.sum()
-                found[number] = np.clip(share - SURELY * deviation, 0.0, MOST_AGREED)
-        return found
+                shares[number] = np.clip(share - SURELY * deviation, 0.0, MOST_AGREED)
+        return shares
 
     def _by_ticks(self, values: Array) -> Array | None:
         """(R,) by which the drives' ticks move the signals at these values (K,), in their units; None without ticks."""
@@ -259,14 +259,14 @@ class Search:
             self.evaluations += 1
         own = self.blocks // len(exact.signals)
         less = SETTINGS.correlated * max(refit.cost, 1.0)  # samples are worth less, the more where something is missing
-        found = []
+        shifts = []
         for play in plays:
             at = own == play
             change = np.column_stack([slope[at] for slope in slopes])
             normal = change.T @ change / less + np.eye(len(joints))
             by = np.clip(np.linalg.solve(normal, -change.T @ here[at] / less), -FARTHEST, FARTHEST) * noise[play]
-            found.append({name: float(b) for names, b in zip(joints, by, strict=True) for name in names})
-        self.levels = {level: evidence.started(found) for level, evidence in self.levels.items()}
+            shifts.append({name: float(b) for names, b in zip(joints, by, strict=True) for name in names})
+        self.levels = {level: evidence.started(shifts) for level, evidence in self.levels.items()}
         self.evidence = self.levels["coarse"]
 
     def settle_at(self, refit: Refit) -> None:
@@ -295,10 +295,10 @@ class Search:
                 finer = self.levels[level].finer()
                 there = finer(values[None])[0, self.used] / self.scale
                 self.evaluations += 1
-                left, changed = self._worst(here), float(np.mean((there - here) ** 2))
+                remaining, changed = self._worst(here), float(np.mean((there - here) ** 2))
                 if self.levels[level].extrapolate:  # contacts and ticks change what is left by chance
-                    changed = max(changed, abs(self._worst(there) - left))
-                if changed <= max(STANDS, SETTINGS.form * left):
+                    changed = max(changed, abs(self._worst(there) - remaining))
+                if changed <= max(STANDS, SETTINGS.form * remaining):
                     break
                 self.levels[level], here, shorter = finer, there, True
         if not self._corrected:
@@ -327,9 +327,9 @@ class Search:
             if self.strain(r.values) >= STRAINED
         ]
         firm = self.as_stated()
-        found = firm.refit(jobs, rounds, level)
+        from_stated = firm.refit(jobs, rounds, level)
         self.evaluations = firm.evaluations
-        return [r.values for r in found]
+        return [r.values for r in from_stated]
 
     def columns(self, candidate: Candidate) -> list[int]:
         """Columns of a candidate's values among the library's."""
@@ -437,11 +437,11 @@ class Search:
         key = (refit.effects, refit.values.tobytes())
         if key not in self._valleys:
             here, starts = self.as_run(refit), self._along_weakest(refit)
-            found = [here]
+            refits = [here]
             if "own" in self.levels:
                 starts += self.beside_stated([refit], VALLEY_ROUNDS, "own")
-                found += self.refit([(self._candidates(refit), point) for point in starts], VALLEY_ROUNDS, "own")
-            self._valleys[key] = tuple(sorted(found, key=lambda r: r.objective))
+                refits += self.refit([(self._candidates(refit), point) for point in starts], VALLEY_ROUNDS, "own")
+            self._valleys[key] = tuple(sorted(refits, key=lambda r: r.objective))
         return self._valleys[key]
 
     def _along_weakest(self, refit: Refit) -> list[Array]:
@@ -482,14 +482,14 @@ class Search:
 
     def _looked_around(self, refits: Sequence[Refit]) -> list[Refit]:
         """Refits at the best of values around each one's rough ones, for which the misfit's slope says little."""
-        found = []
+        best_refits = []
         for refit in refits:
             for column in (i for c in self._candidates(refit) if is_rough(c) for i in self.columns(c)):
                 reach = SCANNED * self.spans[column]
                 scanned = refit.values[column] + np.linspace(-reach, reach, SCAN)
                 best, residuals = self._best_of_column(refit.values, column, scanned, "exact")
-                found.append(_with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
-        return found
+                best_refits.append(_with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
+        return best_refits
 
     def _best_of_column(
         self, values: Array, column: int, scanned: Array, level: Level = "coarse"
@@ -527,8 +527,8 @@ class Search:
                 answers = np.pad(answers, ((0, 0), (0, more)))
                 change = answers - (answers @ basis) @ basis.T - here
                 share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
-                left = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
-                batch = zip(pending[low : low + AT_ONCE], left, strict=True)
+                remaining = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
+                batch = zip(pending[low : low + AT_ONCE], remaining, strict=True)
                 points += [TrialPoint(c, v, float(p), number) for (c, v), p in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
@@ -563,8 +563,8 @@ class Search:
 
     def changes(self, refit: Refit) -> Array:
         """(R, k) by which each value that `moved` moves changes residuals."""
-        found: Array = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
-        return found
+        changes: Array = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
+        return changes
 
     def jacobian(self, refit: Refit) -> Array:
         """(R, k) of a refit's residuals by its fitted values, each in shares of its span."""

@@ -114,12 +114,12 @@ class Verdict:
     @property
     def ranking(self) -> dict[str, tuple[Ranked, ...]]:
         """By axis."""
-        return {axis: found.ranking for axis, found in self.axes.items()}
+        return {axis: verdict.ranking for axis, verdict in self.axes.items()}
 
     @property
     def floor(self) -> dict[str, tuple[float, float]]:
         """Mean square of each axis's residuals in units of the noise floor, before and after."""
-        return {axis: found.floors for axis, found in self.axes.items()}
+        return {axis: verdict.floors for axis, verdict in self.axes.items()}
 
     def to_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers and words; NaN becomes None."""
@@ -130,7 +130,7 @@ class Verdict:
             "stated_set": list(self.stated),
             "coverage": self.coverage,
             "sentence": self.sentence,
-            "axes": {axis: _axis_json(found) for axis, found in self.axes.items()},
+            "axes": {axis: _axis_json(verdict) for axis, verdict in self.axes.items()},
             "where": [asdict(span) for span in self.where],
             "error_as_given": self.given.error,
             "error_before": self.before.error,
@@ -154,17 +154,17 @@ class Verdict:
             "evaluations": self.evaluations,
             "seconds": self.seconds,
         }
-        found: dict[str, Any] = plain(content)
-        return found
+        result: dict[str, Any] = plain(content)
+        return result
 
 
-def _axis_json(found: AxisVerdict) -> dict[str, Any]:
+def _axis_json(verdict: AxisVerdict) -> dict[str, Any]:
     return {
-        "marginals": {**found.marginals, NONE: found.none, UNKNOWN: found.unknown},
-        "explained": {name: {"share": s, "interval": [a, b]} for name, (s, a, b) in found.explained.items()},
-        "remaining": dict(found.remaining),
-        "floors": list(found.floors),
-        "not_converged": list(found.not_converged),
+        "marginals": {**verdict.marginals, NONE: verdict.none, UNKNOWN: verdict.unknown},
+        "explained": {name: {"share": s, "interval": [a, b]} for name, (s, a, b) in verdict.explained.items()},
+        "remaining": dict(verdict.remaining),
+        "floors": list(verdict.floors),
+        "not_converged": list(verdict.not_converged),
     }
 
 
@@ -208,21 +208,21 @@ def sentence(
         start = f"Something is missing that no known effect explains in full ({percent(probabilities[UNKNOWN])})."
     else:
         start = undecided([f"{_hypothesis(name, registry)} ({percent(probabilities[name])})" for name in stated])
-    return " ".join([start, *(text for axis, found in axes.items() if (text := _part(axis, found, registry)))])
+    return " ".join([start, *(text for axis, verdict in axes.items() if (text := _part(axis, verdict, registry)))])
 
 
-def _part(axis: str, found: AxisVerdict, registry: Registry) -> str:
+def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
     """What is clear about one axis by itself; empty if nothing is."""
-    before, _ = found.floors
-    clear = [name for name, p in found.marginals.items() if p >= CLEAR]
+    before, _ = verdict.floors
+    clear = [name for name, p in verdict.marginals.items() if p >= CLEAR]
     if clear:
-        share = found.explained.get(" + ".join(sorted(clear)), found.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
-        named = " and ".join(f"{in_words(name, registry)} ({percent(found.marginals[name])})" for name in clear)
+        share = verdict.explained.get(" + ".join(sorted(clear)), verdict.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
+        named = " and ".join(f"{in_words(name, registry)} ({percent(verdict.marginals[name])})" for name in clear)
         return f"{named[0].upper()}{named[1:]} explains {share:.0%} of what the model leaves there."
-    most = max(found.explained.items(), key=lambda item: item[1][0], default=None)
-    if found.unknown > 0.5 and most and most[1][0] >= WORTH_TELLING:
+    most = max(verdict.explained.items(), key=lambda item: item[1][0], default=None)
+    if verdict.unknown > 0.5 and most and most[1][0] >= WORTH_TELLING:
         return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {shown_number(before)} floors."
-    if found.none >= CLEAR:
+    if verdict.none >= CLEAR:
         return f"Nothing is missing on {axis}, {shown_number(before, 2)} floors."
     return f"On {axis} {shown_number(before)} floors remain."
 

@@ -129,11 +129,11 @@ def trade_offs(
         shifts: (n, k) by which what may be missing would have shifted them, normalised units; a combination that it
             shifts as much as the values is not known better.
     """
-    said: list[str] = []
+    sentences: list[str] = []
     covariance = found.covariance * np.outer(span, span)
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if not np.isfinite(covariance).all():
-        return said
+        return sentences
     for i, j in combinations(range(len(names)), 2):
         if size[i] * size[j] <= 0.0:
             continue
@@ -148,11 +148,11 @@ def trade_offs(
         if half > np.sqrt(1.0 - TRADE_OFF**2) * found.half_width[i] * span[i]:
             continue
         sign, both = "-" if share < 0.0 else "+", values[i] + share * values[j]
-        said.append(
+        sentences.append(
             f"{names[i]} and {names[j]} trade off: {names[i]} {sign} {abs(share):.3g} {names[j]} = {both:.4g} ± "
             f"{half:.2g} is known better than either."
         )
-    return said
+    return sentences
 
 
 def combination(direction: Array, names: tuple[str, ...], least: float = 0.2) -> str:

@@ -119,8 +119,8 @@ def descend(
             jacobians |= fresh
             evaluations += used
             if response is not None:
-                for b, (found, columns) in fresh.items():
-                    steps[b, columns] = _adapted(steps[b, columns], found, response * wide[b])
+                for b, (jacobian, columns) in fresh.items():
+                    steps[b, columns] = _adapted(steps[b, columns], jacobian, response * wide[b])
         tried = np.repeat(active, len(DAMPINGS))
         factors = np.tile(DAMPINGS, len(active)) * damping[tried]
         proposals = np.array(

@@ -107,9 +107,9 @@ class Forces:
     def recorded(self) -> Array:
         """(K, 5) angle, speed, load, drive's torque and other angle at the start of each step."""
         assert self._seen is not None
-        found = np.array(self._seen)
+        table = np.array(self._seen)
         self._seen = None
-        return found
+        return table
 
 
 class Playing:
@@ -197,7 +197,7 @@ def _reversals(speed: Array, step: float) -> tuple[Array, Array]:
 def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
     """Free curve -> short name of each number of its range, so that it covers what these motions visit."""
     angle = _middle([m.angle for m in motions])
-    found = {
+    spans = {
         "curve_angle": angle,
         "curve_angle_friction": angle,
         "curve_speed": {"most": COVERED * max(float(np.abs(m.speed).max()) for m in motions)},
@@ -208,8 +208,8 @@ def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
     }
     if all(m.other.size for m in motions):
         other = _middle([m.other for m in motions])
-        found |= {"curve_other": other, "curve_other_friction": other}
-    return found
+        spans |= {"curve_other": other, "curve_other_friction": other}
+    return spans
 
 
 def _middle(values: Sequence[Array]) -> dict[str, float]:

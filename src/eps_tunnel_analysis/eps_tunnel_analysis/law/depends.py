@@ -178,8 +178,8 @@ class Predictor:
             ridge[self._size :, self._size :] += bends * float(diagonal[self._size :].mean()) * knots.T @ knots
         weights = -np.linalg.solve(gram - grams + ridge, (right - rights)[:, :, None])[:, :, 0]
         bent = np.einsum("fk,fkl,fl->f", weights, grams, weights)
-        left = self._own + 2.0 * np.einsum("fk,fk->f", weights, rights) + bent
-        return left, -np.linalg.solve(gram + ridge, right)
+        squares = self._own + 2.0 * np.einsum("fk,fk->f", weights, rights) + bent
+        return squares, -np.linalg.solve(gram + ridge, right)
 
 
 def half_widths(design: Design, columns: Array) -> Array:
@@ -188,8 +188,8 @@ def half_widths(design: Design, columns: Array) -> Array:
     gram = every.T @ every
     ridge = np.diag(RIDGE * np.maximum(np.diag(gram), 1e-12 * max(float(np.diag(gram).max()), 1e-300)))
     inverse = np.linalg.inv(gram + ridge)
-    left = design.y - every @ (inverse @ (every.T @ design.y))
-    spread = max(float(np.mean(left**2)), 1.0) * SETTINGS.correlated
+    remaining = design.y - every @ (inverse @ (every.T @ design.y))
+    spread = max(float(np.mean(remaining**2)), 1.0) * SETTINGS.correlated
     return np.asarray(1.645 * np.sqrt(spread * np.diag(inverse))[design.base.shape[1] :])
 
 
@@ -229,11 +229,11 @@ class Variable:
 
 def hats(share: Array) -> Array:
     """(n, 10) weight of each knot of a free curve at a share (n,) of its range."""
-    found = np.empty((len(share), KNOTS))
+    weights = np.empty((len(share), KNOTS))
     for i, name in enumerate(NAMES):
         table = {other: np.full(1, 1.0 if other == name else 0.0) for other in NAMES}
-        found[:, i] = curve(table, share[None])[0]
-    return found
+        weights[:, i] = curve(table, share[None])[0]
+    return weights
 
 
 def knots_of(which: str, span: Mapping[str, float]) -> Array:
@@ -261,7 +261,7 @@ def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str
     fast = spans["curve_speed"]["most"]
     by_speed = 0.5 + np.arcsinh(CROWDED * motion.speed / fast) / (2.0 * np.arcsinh(CROWDED))
     angle, end = of_angle(motion.angle, spans["curve_angle"]), spans["curve_time"]["end"]
-    found = {
+    by_curve = {
         "curve_speed": ("speed", by_speed, ones),
         "curve_angle": ("angle", angle, ones),
         "curve_angle_friction": ("angle, as friction", angle, against),
@@ -274,11 +274,11 @@ def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str
     }  # fmt: skip
     if "curve_other" in spans:
         other = of_angle(motion.other, spans["curve_other"])
-        found |= {
+        by_curve |= {
             "curve_other": ("the other axis's angle", other, ones),
             "curve_other_friction": ("the other axis's angle, as friction", other, against),
         }
-    return found
+    return by_curve
 
 
 def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
@@ -286,7 +286,7 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
     missing = design.missing
     spans = visited([p.motion for p in design.plays])
     each = [shares(p.motion, spans) for p in design.plays]
-    found = []
+    every = []
     for name in each[0]:
         over = [p.at_nodes(own[name][1]) for p, own in zip(design.plays, each, strict=True)]
         signs = [p.at_nodes(own[name][2]) for p, own in zip(design.plays, each, strict=True)]
@@ -294,20 +294,20 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
             np.column_stack([p.at_nodes(column) for column in (hats(own[name][1]) * own[name][2][:, None]).T])
             for p, own in zip(design.plays, each, strict=True)
         ]
-        found.append(Variable(each[0][name][0], name, missing.axis, rows, shares=over, signs=signs))
-    found += _of_command(design, spans["curve_angle"])
+        every.append(Variable(each[0][name][0], name, missing.axis, rows, shares=over, signs=signs))
+    every += _of_command(design, spans["curve_angle"])
     directions = [p.at_nodes(p.motion.direction) for p in design.plays]
     over, signs = [0.5 + 0.5 * own for own in directions], [np.ones_like(own) for own in directions]
-    found.append(
+    every.append(
         Variable("direction", "curve_speed", missing.axis, [own[:, None] for own in directions], None, over, signs)
     )
     span = spans["curve_angle"]
     for number in sensors(design, positions):
         errors = [hats(0.5 + 0.5 * (a - span["centre"]) / span["half"]) for a in design.angles(number)]
-        found.append(
+        every.append(
             Variable("angle, as a sensor's error", "curve_sensor", missing.signals[number], errors, number)
         )  # fmt: skip
-    return found
+    return every
 
 
 def _of_command(design: Design, angles: Mapping[str, float]) -> list[Variable]:
@@ -427,19 +427,19 @@ def depends(
     rng = np.random.default_rng(seed)
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
     chance = float(np.quantile([_by_chance(design, predictor, every, moved) for moved in drawn], 1.0 - LEVEL))
-    found: list[tuple[Dependence, Explained]] = []
+    explained: list[tuple[Dependence, Explained]] = []
     singly = [predictor.explained(v.columns(design), curve=True) for v in every]
     both = pairs(every, [e.share for e in singly])
     alone = len(every)
     explains = [*singly, *(predictor.explained(v.columns(design)) for v in both)]
     for i, (variable, e) in enumerate(zip([*every, *both], explains, strict=True)):
         known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
-        found.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
-    found += waves(design, predictor, positions, chance, seed, ratios or {})
-    found.sort(key=lambda pair: -pair[0].share)
-    ordered = tuple(d for d, _ in found)
-    best = found[0][1]
-    near = [d for d, e in found if d.named and (e.share > best.share - NO_MORE or not _better(best, e, seed))]
+        explained.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
+    explained += waves(design, predictor, positions, chance, seed, ratios or {})
+    explained.sort(key=lambda pair: -pair[0].share)
+    ordered = tuple(d for d, _ in explained)
+    best = explained[0][1]
+    near = [d for d, e in explained if d.named and (e.share > best.share - NO_MORE or not _better(best, e, seed))]
     if not near:
         return Depends(ordered, chance)
     # Waves also have a period to be fitted, so a smooth curve that explains as much is likelier.
@@ -511,7 +511,7 @@ def waves(
     missing, tried = design.missing, periods(design)
     ways: list[tuple[str, str, str, int | None]] = [("angle", "curve_angle", missing.axis, None)]
     ways += [("angle, as a sensor's error", "curve_sensor", missing.signals[i], i) for i in sensors(design, positions)]
-    found = []
+    dependences = []
     for name, which, place, signal in ways:
 
         def explained(period: float, signal: int | None = signal) -> Explained:
@@ -523,8 +523,8 @@ def waves(
         best = refined(share, tried, int(np.argmax([share(float(p)) for p in tried])))
         e = explained(best)
         known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
-        found.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
-    return found
+        dependences.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
+    return dependences
 
 
 def refined(share: Callable[[float], float], tried: Array, best: int) -> float:
@@ -550,13 +550,13 @@ def traced(period: float, ratios: Mapping[str, float]) -> str:
 
     Of several the one with the fewest waves a turn, because most parts that are not round have one or two.
     """
-    found = []
+    candidates = []
     for name, ratio in ratios.items():
         waves_a_turn = 2.0 * np.pi / (period * abs(ratio))
         whole = round(waves_a_turn)
         if 1 <= whole <= MOST_A_TURN and abs(waves_a_turn - whole) < NEAR_WHOLE * min(whole, 10):
-            found.append((whole, name))
-    if not found:
+            candidates.append((whole, name))
+    if not candidates:
         return ""
-    whole, name = min(found)
+    whole, name = min(candidates)
     return f"{whole} wave{'s' if whole > 1 else ''} a turn of the {name}"

@@ -45,11 +45,11 @@ MISTAKEN = {
 
 def prefixes(terms: Sequence[Chosen]) -> list[str]:
     """A prefix for each term's parameters: its name, numbered where it occurs again."""
-    found: list[str] = []
+    used: list[str] = []
     for chosen in terms:
         name = chosen.term.name
-        found.append(name if name not in found else f"{name}{1 + sum(f.startswith(name) for f in found)}")
-    return found
+        used.append(name if name not in used else f"{name}{1 + sum(f.startswith(name) for f in used)}")
+    return used
 
 
 def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:

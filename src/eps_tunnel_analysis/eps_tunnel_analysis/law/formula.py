@@ -191,7 +191,7 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
     whole = Predictor(design)
     known: dict[tuple[str, float], Array] = {}
     beam = [_Set((), np.empty((len(design.y), 0)), 0.0)]
-    found: list[Formula] = []
+    best_sets: list[Formula] = []
     for _ in range(MOST_TERMS):
         grown: dict[tuple[str, ...], _Set] = {}
         for begun in beam:
@@ -216,8 +216,8 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
         for one in beam:
             last = whole.explained(one.columns)
             values = tuple(_values(one.chosen, last.weights))
-            found.append(Formula(values, last.share, last.interval(seed)))
-    return found
+            best_sets.append(Formula(values, last.share, last.interval(seed)))
+    return best_sets
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def _best_shape(
 
 
 def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen]:
-    found, first = [], 0
+    terms, first = [], 0
     for term, shape in chosen:
         names = [n.name for n in term.numbers]
         if names == ["size", "period", "phase"]:
@@ -283,5 +283,5 @@ def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen
         else:
             values = dict(zip(names, (float(weights[first]), shape), strict=False))
             first += 1
-        found.append(Chosen(term, values))
-    return found
+        terms.append(Chosen(term, values))
+    return terms

@@ -127,8 +127,8 @@ def missing_force(
     for number in range(passes):
         parts = []
         for p in range(len(plays)):
-            mine = owner[search.used] == p
-            used, scale = search.used[mine] - first[p], search.scale[mine]
+            of_play = owner[search.used] == p
+            used, scale = search.used[of_play] - first[p], search.scale[of_play]
             parts.append(_linearised(playing, p, forces[p], nodes_of[p], used, scale, search.spans))
         if number and _settled(answers, parts):
             break
@@ -136,19 +136,19 @@ def missing_force(
             smoothness = _bandwidth([(y, a) for _, _, y, a, _ in parts])
         answers = []
         for p, (motion, nodes, residuals, answer, base) in enumerate(parts):
-            mine = owner[search.used] == p
+            of_play = owner[search.used] == p
             force, band = _smoothed(residuals, answer, smoothness)
             forces[p] = np.interp(playing.evidence[p].times(0), nodes, force)
             answers.append(
                 PlayAnswer(
-                    motion, nodes, residuals, answer, base, search.evidence.time[search.used][mine],
-                    search.signal[mine], folds[search.used][mine], search.scale[mine], force, band,
+                    motion, nodes, residuals, answer, base, search.evidence.time[search.used][of_play],
+                    search.signal[of_play], folds[search.used][of_play], search.scale[of_play], force, band,
                 )
             )  # fmt: skip
-    left = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
+    remaining = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     here = np.concatenate([a.residuals for a in answers])
     slides, side = model.rig.axis(part.name).slides, "load" if at_load else "motor"
-    floors = float(np.mean(here**2)), float(np.mean(left**2))
+    floors = float(np.mean(here**2)), float(np.mean(remaining**2))
     return MissingForce(part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, side)
 
 
@@ -186,18 +186,18 @@ def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
         here = play.signal == number
         parts.append((play.residuals[here], _between(play.time[here], play.nodes, play.scale[here])))
     weight = _bandwidth(parts)
-    found = [_smoothed(y, answer, weight) for y, answer in parts]
+    smoothed = [_smoothed(y, answer, weight) for y, answer in parts]
     before = np.concatenate([y for y, _ in parts])
-    after = np.concatenate([y + answer @ own for (y, answer), (own, _) in zip(parts, found, strict=True)])
+    after = np.concatenate([y + answer @ own for (y, answer), (own, _) in zip(parts, smoothed, strict=True)])
     floors = float(np.mean(before**2)), float(np.mean(after**2))
-    offsets, bands = zip(*found, strict=True)
+    offsets, bands = zip(*smoothed, strict=True)
     unit = "m" if missing.unit == "N" else "rad"
     return MissingOffset(missing.signals[number], unit, tuple(p.nodes for p in missing.plays), offsets, bands, floors)
 
 
 def trial_offsets(plays: Sequence[Play], signals: Sequence[str]) -> dict[str, Array]:
     """Signal -> (p, 2) number of each trial, from 1, and by how much it differs from its play's others, in SI units."""
-    found = {}
+    offsets = {}
     for name in signals:
         rows: list[tuple[int, float]] = []
         for play in plays:
@@ -205,8 +205,8 @@ def trial_offsets(plays: Sequence[Play], signals: Sequence[str]) -> dict[str, Ar
             seen = np.isfinite(values).all(axis=0)
             each = values[:, seen].mean(axis=1) if seen.any() else np.zeros(len(values))
             rows += [(len(rows) + i + 1, float(mean)) for i, mean in enumerate(each - each.mean())]
-        found[name] = np.array(rows)
-    return found
+        offsets[name] = np.array(rows)
+    return offsets
 
 
 def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
@@ -221,8 +221,8 @@ def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
 def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, csr_array, Array]]) -> bool:
     """Whether roll-outs with the forces found leave what the last linearisation promised."""
     promised = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
-    left = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
-    return bool(np.mean((left - promised) ** 2) < AS_PROMISED * max(float(np.mean(promised**2)), 1.0))
+    remaining = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
+    return bool(np.mean((remaining - promised) ** 2) < AS_PROMISED * max(float(np.mean(promised**2)), 1.0))
 
 
 def _nodes(times: Array) -> Array:
@@ -292,8 +292,8 @@ def _smoothed(residuals: Array, answer: csr_array, weight: float) -> tuple[Array
     """(n,) force and its standard deviation."""
     factor = _penalised(answer.T @ answer, weight)
     force = -_solved(factor, answer.T @ residuals)
-    left = float(np.mean((residuals + answer @ force) ** 2))
-    spread = max(left, 1.0) * SETTINGS.correlated / 10.0
+    remaining = float(np.mean((residuals + answer @ force) ** 2))
+    spread = max(remaining, 1.0) * SETTINGS.correlated / 10.0
     variance = np.empty(len(force))
     for begin in range(0, len(force), COLUMNS_AT_ONCE):
         own = np.arange(begin, min(begin + COLUMNS_AT_ONCE, len(force)))

@@ -291,13 +291,13 @@ def propose(
         return Proposal(part.name, part.name, missing, Depends((), 0.0), nothing)
     design = Design.of(missing)
     positions = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
-    found = depends(design, positions, seed, ratios(model.rig, part.name))
-    first, motions = found.first, [p.motion for p in design.plays]
-    shows = visit(model, part.name, first or found.dependences[0], motions)
+    dependence = depends(design, positions, seed, ratios(model.rig, part.name))
+    first, motions = dependence.first, [p.motion for p in design.plays]
+    shows = visit(model, part.name, first or dependence.dependences[0], motions)
     offsets = tuple(missing_offset(missing, number) for number in sensors(design, positions))
     trials = trial_offsets(plays, positions)
     if first is None:
-        return Proposal(part.name, part.name, missing, found, nothing, base=model, visit=shows, offsets=offsets,
+        return Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
                         trials=trials)  # fmt: skip
     sensor = list(part.signals).index(first.place) if first.curve == "curve_sensor" else None
     terms = dictionary(design) if sensor is None else sensor_dictionary(design)
@@ -308,7 +308,7 @@ def propose(
     columns = chosen.columns(design)
     weights = Predictor(design).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(first.curve, spans[first.curve]).tolist(), weights.tolist(), strict=True))
-    bare = Proposal(part.name, first.place, missing, found, nothing, base=model, curve=table, visit=shows,
+    bare = Proposal(part.name, first.place, missing, dependence, nothing, base=model, curve=table, visit=shows,
                     offsets=offsets, trials=trials,
                     curve_band=tuple(half_widths(design, columns).tolist()))  # fmt: skip
     run = SearchOptions((), nthread)
@@ -338,11 +338,11 @@ def propose(
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
         mark = seen_mark(model, declared(effect_file(law.terms, sensor is not None)), first.place, plays[0])
         text = effect_file(law.terms, sensor is not None, mark)
-        found = _with_period(found, law, ratios(model.rig, part.name))
+        dependence = _with_period(dependence, law, ratios(model.rig, part.name))
     return replace(
         bare, kind=best.kind, effect=best.effect, text=text,
         equation=_equation(law) if best.kind == "formula" else effects()[first.curve].equation,
-        refit=best.refit, base_held_out=before.cost, model=best.model, depends=found, formula=law,
+        refit=best.refit, base_held_out=before.cost, model=best.model, depends=dependence, formula=law,
         ranked=_ranked(best, before, plays, len(terms), beside),
         left=missing_force(best.model, plays, part, nthread, passes=1),
     )  # fmt: skip
@@ -387,17 +387,17 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
         yield replace(chosen, values={n: short.get(f"{prefix}_{n}", v) for n, v in chosen.values.items()})
 
 
-def _with_period(found: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
+def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
     """What is named, with the period that the formula has."""
-    first = found.first
+    first = dependence.first
     acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor"}
     waves = [c.values for c in law.terms if "period" in c.values and first and c.term.acts == acts.get(first.curve)]
     if first is None or first.pair or not waves:
-        return found
+        return dependence
     period = abs(max(waves, key=lambda values: abs(values["size"]))["period"])
     named = replace(first, period=period, traced=traced(period, turns))
-    every = tuple(named if d is first else d for d in found.dependences)
-    return replace(found, dependences=every, first=named)
+    every = tuple(named if d is first else d for d in dependence.dependences)
+    return replace(dependence, dependences=every, first=named)
 
 
 def confirmed(proposal: Proposal, plays: Sequence[Play], nthread: int = 0) -> Proposal:
@@ -414,15 +414,15 @@ def proposal_of(diagnosis: Diagnosis, plays: Sequence[Play], nthread: int = 0, s
     It includes the missing force of every other axis that leaves more than noise, and of the load's side of elastic
     axes.
     """
-    left = {name: a.worst(name) for a in diagnosis.axes for name in a.part.axes if name != BALL}
-    most = max(left, key=lambda name: left[name])
-    if diagnosis.verdict.verdict != "unknown" or left[most] <= SETTINGS.healthy:
+    floors = {name: a.worst(name) for a in diagnosis.axes for name in a.part.axes if name != BALL}
+    most = max(floors, key=lambda name: floors[name])
+    if diagnosis.verdict.verdict != "unknown" or floors[most] <= SETTINGS.healthy:
         return None
     model, alone = diagnosis.base_model, [without_ball(p) for p in plays]
     parts = {p.name: p for p in axis_parts(model, alone)}
     beside = next(a for a in diagnosis.axes if most in a.part.axes)
     proposal = propose(model, alone, parts[most], nthread, seed, beside)
-    return replace(proposal, also=also_missing(model, alone, parts, most, left, nthread))
+    return replace(proposal, also=also_missing(model, alone, parts, most, floors, nthread))
 
 
 def also_missing(
@@ -436,13 +436,13 @@ def also_missing(
         most: that axis.
         left: axis -> floors that the model leaves on it.
     """
-    found = []
+    forces = []
     for name, part in parts.items():
         if left.get(name, 0.0) <= SETTINGS.healthy:
             continue
         sides = ([False] if name != most else []) + ([True] if model.rig.axis(name).belt else [])
-        found += [missing_force(model, plays, part, nthread, at_load=side) for side in sides]
-    return tuple(found)
+        forces += [missing_force(model, plays, part, nthread, at_load=side) for side in sides]
+    return tuple(forces)
 
 
 def propose_on(
@@ -495,8 +495,8 @@ def _refitted(
     intervals = {lib.names[c]: float(h) for c, h in zip(columns, half, strict=True)}
     known = lib.model.parameters()
     judged = hypothesis(search, refit)
-    found = Refitted(fitted, intervals, {name: known[name].unit for name in fitted}, refit.cost, judged.cost)
-    return _Attempt(kind, own.name, law, found, _with(lib.model, own, part, fitted), judged, search)
+    refitted = Refitted(fitted, intervals, {name: known[name].unit for name in fitted}, refit.cost, judged.cost)
+    return _Attempt(kind, own.name, law, refitted, _with(lib.model, own, part, fitted), judged, search)
 
 
 def _with(model: Model, own: Candidate, part: AxisPart, fitted: Mapping[str, float]) -> Model:

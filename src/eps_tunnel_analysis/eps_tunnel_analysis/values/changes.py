@@ -211,8 +211,8 @@ def changes(
 
 def fitted_then(model: Model, then: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions) -> Model:
     """The model with every axis's values fitted to what was recorded then."""
-    found = fitted_bases(model, then, parts, replace(run, only=())).values
-    return model.with_values(found, "fitted to what was recorded then")
+    values = fitted_bases(model, then, parts, replace(run, only=())).values
+    return model.with_values(values, "fitted to what was recorded then")
 
 
 def refitted(
@@ -226,7 +226,7 @@ def refitted(
     """
     run = run or SearchOptions()
     then, now = [without_ball(p) for p in then], [without_ball(p) for p in now]
-    found: list[ValueChange] = []
+    value_changes: list[ValueChange] = []
     parts = moved_parts(model, axis_parts(model, [*then, *now]), now)
     chosen = _chosen(model, parts, names)
     for part in parts:
@@ -242,14 +242,14 @@ def refitted(
             start[columns] = first.values[columns]
         every = tuple(search.library.candidates)
         refit = min(search.judged([(every, start), (every, base.values)], ROUNDS), key=lambda r: r.cost)
-        found += _value_changes(model, _AxisChanges(search, base, (refit,), {}), names)
-    return tuple(found)
+        value_changes += _value_changes(model, _AxisChanges(search, base, (refit,), {}), names)
+    return tuple(value_changes)
 
 
 def _chosen(model: Model, parts: Sequence[AxisPart], only: Sequence[str] | None) -> dict[str, Library]:
     """For each axis what can have changed there, and the model that holds it all as it was then."""
     own = {part.name: _value_candidates(model, part) for part in parts}
-    known = [c.name for found in own.values() for c in found]
+    known = [c.name for libraries in own.values() for c in libraries]
     wanted = None if only is None else [n for n in only if n not in known and n not in {k.split(".")[0] for k in known}]
     if wanted:
         try:
@@ -259,28 +259,28 @@ def _chosen(model: Model, parts: Sequence[AxisPart], only: Sequence[str] | None)
     # An effect without a place means the one in the model and, elsewhere, one that may have appeared.
     new = None if only is None else [n for n in only if n.partition(".")[0] in model.registry.effects]
     lib = library(model, (), False, new)
-    found: dict[str, Library] = {}
+    libraries: dict[str, Library] = {}
     for part in parts:
-        mine = [c for c in lib.candidates if c.axes == (part.name,)]
-        mine += [c for c in own[part.name] if only is None or c.name in only or c.name.partition(".")[0] in only]
+        candidates = [c for c in lib.candidates if c.axes == (part.name,)]
+        candidates += [c for c in own[part.name] if only is None or c.name in only or c.name.partition(".")[0] in only]
         held = lib.model
         for other in lib.candidates:
-            if other not in mine:
+            if other not in candidates:
                 held = held.without_effect(other.effect.name, other.place)
-        found[part.name] = Library(held, (), tuple(mine))
-    return found
+        libraries[part.name] = Library(held, (), tuple(candidates))
+    return libraries
 
 
 def _value_candidates(model: Model, part: AxisPart) -> list[Candidate]:
     """The drive's values, each by itself, and the effects that the model has, as candidates that are off as then."""
-    infos, found = model.parameters(), list[Candidate]()
+    infos, candidates = model.parameters(), list[Candidate]()
     for name in part.base:
         if name.startswith("drive."):
             owner, _, short = name.rpartition(".")
             p = next(p for p in model.drives[part.name].kind.parameters if p.name == short)
             step = max(STEP_OF_A_VALUE * abs(infos[name].value), STEP_OF_ITS_SPAN * infos[name].span)
             moved = _moved(p, infos[name].value, infos[name].low, infos[name].high, step)
-            found.append(Candidate(_value_as_effect(owner, moved), short, (part.name,), (name,)))
+            candidates.append(Candidate(_value_as_effect(owner, moved), short, (part.name,), (name,)))
     for use in model.effects:
         prefix = f"{use.effect.name}.{use.place}."
         main = [p for p in use.effect.parameters if p.fitted and p.off is not None and f"{prefix}{p.name}" in part.base]
@@ -290,8 +290,8 @@ def _value_candidates(model: Model, part: AxisPart) -> list[Candidate]:
         )
         if main:
             effect = replace(use.effect, parameters=moved_all)
-            found.append(Candidate(effect, use.place, (part.name,), tuple(f"{prefix}{p.name}" for p in main)))
-    return found
+            candidates.append(Candidate(effect, use.place, (part.name,), tuple(f"{prefix}{p.name}" for p in main)))
+    return candidates
 
 
 def _moved(p: Parameter, value: float, low: float, high: float, step: float) -> Parameter:
@@ -414,8 +414,10 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
     if not refit.effects:
         return []
     columns = search.fitted(refit)
-    found = intervals(search.jacobian(refit), refit.residuals, search.blocks.astype(float))
-    half = np.maximum(found.half_width * search.spans[columns], [profile(search, refit, column) for column in columns])
+    interval = intervals(search.jacobian(refit), refit.residuals, search.blocks.astype(float))
+    half = np.maximum(
+        interval.half_width * search.spans[columns], [profile(search, refit, column) for column in columns]
+    )
     units = {name: info.unit for name, info in search.library.model.parameters().items()}
     owner = {p: c for c in map(search.library.find, refit.effects) for p in c.parameters}
     present = model.values()
@@ -489,11 +491,11 @@ def over_dates(
         watched: values and effects, as `Changes.named`.
     """
     first = next(iter(dates.values()))
-    found = []
+    rows = []
     for label, plays in dates.items():
         values = refitted(model, first, plays, watched, run) if watched and plays is not first else ()
-        found.append(DateOfRig(label, _alikeness(model, plays, ks), _itself(model, plays, ks), values))
-    return tuple(found)
+        rows.append(DateOfRig(label, _alikeness(model, plays, ks), _itself(model, plays, ks), values))
+    return tuple(rows)
 
 
 def _itself(model: Model, plays: Sequence[Play], ks: Sequence[float]) -> dict[float, float]:

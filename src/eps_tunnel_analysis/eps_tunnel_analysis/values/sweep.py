@@ -180,9 +180,9 @@ def sweep(
                 errors[row] += [
                     command_error(a, b) / len(plays) for a, b in zip(tunnel.mean.T, sim.mean.T, strict=True)
                 ]
-                for i, found in enumerate(alikeness_over_k(tunnel, smooth(sim), factors)):
-                    alike[row, i] += found.alike.sum(axis=0)
-                    jointly[row, i] += found.alike.all(axis=1).sum()
+                for i, at_k in enumerate(alikeness_over_k(tunnel, smooth(sim), factors)):
+                    alike[row, i] += at_k.alike.sum(axis=0)
+                    jointly[row, i] += at_k.alike.all(axis=1).sum()
         if progress:
             progress("points", low + len(some))
     shape = tuple(len(v.points) for v in values)
@@ -224,7 +224,7 @@ def with_effects(model: Model, asked: Sequence[str]) -> tuple[Model, tuple[str, 
 def _values(model: Model, asked: Sequence[str], known: set[str]) -> tuple[SweptValue, ...]:
     infos = model.parameters()
     complaints: list[str] = []
-    found: list[SweptValue] = []
+    values: list[SweptValue] = []
     for text in asked:
         name, equals, given = text.partition("=")
         if name not in infos:
@@ -232,7 +232,7 @@ def _values(model: Model, asked: Sequence[str], known: set[str]) -> tuple[SweptV
             continue
         if name in known:
             complaints.append(f"{name} is given as known for some recordings, so it cannot be swept. Omit its --known.")
-        if name in [v.name for v in found]:
+        if name in [v.name for v in values]:
             complaints.append(f"{name} is named twice; sweep two different values.")
         info = infos[name]
         low, high = near(info.value, info.low, info.high)
@@ -253,13 +253,13 @@ def _values(model: Model, asked: Sequence[str], known: set[str]) -> tuple[SweptV
         points = np.linspace(low, high, min(count, MOST + 1))
         if not equals and low < info.value < high:  # the model's own value is one of them
             points[np.argmin(np.abs(points - info.value))] = info.value
-        found.append(SweptValue(name, info.unit, info.value, points))
-    total = math.prod(len(v.points) for v in found)
+        values.append(SweptValue(name, info.unit, info.value, points))
+    total = math.prod(len(v.points) for v in values)
     if total > MOST:
         complaints.append(f"{total} points are too many; ask for at most {MOST} in all.")
     if complaints:
         raise InputError(complaints)
-    return tuple(found)
+    return tuple(values)
 
 
 def _range(text: str, points: int) -> tuple[float, float, int]:
@@ -315,7 +315,7 @@ class WhatIfAnswer:
 
 def adjustable(model: Model) -> tuple[Adjustable, ...]:
     """Values that can be moved: the model's own, half to twice, and what brings in each effect that it lacks."""
-    found = [
+    values = [
         Adjustable(i.name, i.unit, i.value, *near(i.value, i.low, i.high), held=True)
         for i in model.parameters().values()
     ]
@@ -327,8 +327,8 @@ def adjustable(model: Model) -> tuple[Adjustable, ...]:
             added = (infos[f"{effect.name}.{place}.{p.name}"] for p in effect.parameters)
             # Those that switch the effect on by themselves.
             switches = (i for i in added if i.off is not None)
-            found += [Adjustable(i.name, i.unit, i.value, i.low, i.high, held=False) for i in switches]
-    return tuple(a for a in found if a.low < a.high)
+            values += [Adjustable(i.name, i.unit, i.value, i.low, i.high, held=False) for i in switches]
+    return tuple(a for a in values if a.low < a.high)
 
 
 class WhatIf:
