@@ -48,9 +48,9 @@ def measure(lens: str, speed: float, rooms: int, frames: int, seed: int, painted
             frame = renderer.render(Scene(ball=ball, velocity=velocity, tilt=tilt, exposure=0.008))
             rendered = time.process_time()
             pose = marks.update(frame)
-            found = time.process_time()
+            begun = time.process_time()
             seen = tracker.update(frame, pose, 0.0)
-            times.append((found - rendered, time.process_time() - found))
+            times.append((begun - rendered, time.process_time() - begun))
             render_times.append(rendered - start)
             if ball is None:
                 empty, false = empty + 1, false + seen.visible

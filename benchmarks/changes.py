@@ -4,15 +4,15 @@
     python benchmarks/changes.py --cases 20 --seed 200000 --json out.json
 
 Each case draws one of five: slack that grows from 0.2 to 0.5 degrees, a belt that loosens, friction that doubles, a
-potentiometer that slips, and nothing. The rig has slack and friction from the beginning, and noise and starts of its
-own on each date. The whole library is considered, and every value of the drive. A case is right if what is said is
-what was done and nothing more; "undecided" is counted apart, and only where the truth is in the stated set.
+potentiometer that slips, and nothing. The rig has slack and friction from the beginning, with different noise and
+starts on each date. The whole library is considered, and every value of the drive. A case is right if the result names
+what was done and nothing more; "undecided" is counted separately, and only if the truth is in the stated set.
 
     right, undecided, wrong     shares of the cases in which something changed, with Wilson's 95 % intervals
-    false_alarm                 share of the rigs as they were of which anything else is said than "nothing"
-    interval_held               share of the changes that were named by what was done whose interval holds the truth
+    false_alarm                 share of the unchanged rigs whose result is anything but "nothing"
+    interval_held               share of the correctly named changes whose interval holds the truth
 
-Seeds below 200000 are there to tune on.
+Seeds below 200000 are for tuning.
 """
 
 import argparse
@@ -46,11 +46,11 @@ class Wear:
 
     Attributes:
         name: of the kind.
-        truth: what a verdict must name; "" where nothing changed.
+        truth: what a verdict must name; "" if nothing changed.
         parameter: whose change is known, and
-        change: by how much, in its unit; None where the model's form of it is another.
+        change: by how much, in its unit; None if the model has another form of it.
         slack, friction: of the rig as it is now.
-        more: what has come.
+        more: what was added.
     """
 
     name: str
@@ -96,22 +96,22 @@ def as_then() -> Model:
 
 
 def case(seed: int, threads: int = 1) -> Record:
-    """One rig on two dates, and what is said of it."""
+    """One rig on two dates, and the result."""
     wear = WEAR[seed % len(WEAR)]
     then, now = (played(2 * seed + date, of) for date, of in ((0, WEAR[-1]), (1, wear)))
     started = time.monotonic()
-    found = changes(as_then(), [then], [now], run=SearchOptions(None, threads))
-    value = next((v for v in found.values if v.name == wear.parameter), None)
+    result = changes(as_then(), [then], [now], run=SearchOptions(None, threads))
+    value = next((v for v in result.values if v.name == wear.parameter), None)
     return {
-        "seed": seed, "wear": wear.name, "truth": wear.truth, "outcome": found.outcome, "named": list(found.named),
-        "stated": list(found.stated), "set": dict(found.set), "sentence": found.sentence, "change": wear.change,
+        "seed": seed, "wear": wear.name, "truth": wear.truth, "outcome": result.outcome, "named": list(result.named),
+        "stated": list(result.stated), "set": dict(result.set), "sentence": result.sentence, "change": wear.change,
         "measured": None if value is None else [value.change, value.half_width],
         "seconds": time.monotonic() - started,
     }  # fmt: skip
 
 
 def is_right(r: Record) -> bool:
-    """Whether exactly what was done is named, or nothing where nothing was."""
+    """Whether exactly what was done is named, or nothing if nothing was done."""
     if not r["truth"]:
         return bool(r["outcome"] == "nothing")
     return r["outcome"] == "changed" and r["named"] == [r["truth"]]
@@ -139,10 +139,10 @@ def figures(records: list[Record]) -> dict[str, Figure]:
     }
 
 
-def shown(found: Mapping[str, Figure]) -> str:
+def shown(measured: Mapping[str, Figure]) -> str:
     """The figures as a table."""
     lines = []
-    for key, figure in found.items():
+    for key, figure in measured.items():
         low, high = figure.interval or (float("nan"), float("nan"))
         lines.append(f"{key:24s}{'-' if figure.value is None else f'{figure.value:.3f}':8s}{low:.3f} to {high:.3f}"
                      f"  ({figure.n})")  # fmt: skip
@@ -163,8 +163,8 @@ def main() -> None:
         r = records[-1]
         print(f"{seed} {r['wear']:14s}{r['sentence']} ({r['seconds']:.0f} s)", flush=True)
         if given.json:
-            found = flat(figures(records))
-            content = {**found, "seed": given.seed, "seconds": time.monotonic() - started, "cases": records}
+            measured = flat(figures(records))
+            content = {**measured, "seed": given.seed, "seconds": time.monotonic() - started, "cases": records}
             given.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(f"\n{len(records)} cases in {time.monotonic() - started:.0f} s\n\n{shown(figures(records))}")
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a study's records say: strict rates with their intervals. A case is right or it is not; nothing counts half.
 
-A record is one case: `kind`, `truth`, `as_true` (hypotheses that are as true), `visibility`, and what was said of it:
+A record is one case: `kind`, `truth`, `as_true` (hypotheses that are as true), `visibility`, and the result:
 `verdict`, `effects`, `stated`, `set`, and `leaves`, what the model leaves with its values refitted, root mean square
 over the floor.
 """
@@ -29,7 +29,7 @@ RESAMPLES = 1000
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured figure: its value, how many cases speak to it, and its 95 % interval; None where there is none."""
+    """A measured figure: its value, how many cases speak to it, and its 95 % interval; None if there is none."""
 
     value: float | None
     n: int
@@ -40,7 +40,7 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
     """Every key of a study."""
     visible = [r for r in records if r["kind"] == "single" and r["visibility"] > VISIBLE]
     healthy = [r for r in records if r["kind"] == "healthy"]
-    shows = [r for r in visible if r["leaves"] > VISIBLE]  # what the drive's values take up no recording can show
+    shows = [r for r in visible if r["leaves"] > VISIBLE]  # no recording shows what the drive's values compensate for
     foreign = [r for r in records if r["kind"] in ("outside", "left_out") and r["visibility"] > VISIBLE]
     every_pair = [r for r in records if r["kind"] == "pair"]
     pairs = [r for r in every_pair if r["visibility"] > VISIBLE]  # of the one that shows less
@@ -72,10 +72,10 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
     }
 
 
-def flat(found: dict[str, Figure]) -> dict[str, Any]:
+def flat(measured: dict[str, Figure]) -> dict[str, Any]:
     """KEY, KEY_n and KEY_interval for JSON."""
     out: dict[str, Any] = {}
-    for key, figure in found.items():
+    for key, figure in measured.items():
         interval = None if figure.interval is None else list(figure.interval)
         out |= {key: figure.value, f"{key}_n": figure.n, f"{key}_interval": interval}
     return out
@@ -93,7 +93,7 @@ def is_undecided(r: Record) -> bool:
 
 
 def is_wrong(r: Record) -> bool:
-    """Whether the truth is neither said nor left open."""
+    """Whether the truth is neither named nor left open."""
     return not is_right(r) and not is_undecided(r)
 
 
@@ -108,7 +108,7 @@ def likeliest(r: Record) -> tuple[str, float]:
 
 
 def is_true(r: Record, hypothesis: str) -> bool:
-    """Whether a hypothesis holds: the truth, or "none" of what nobody can see."""
+    """Whether a hypothesis holds: the truth, or "none" if the effect is invisible."""
     unseen = r["kind"] != "healthy" and r["visibility"] < INVISIBLE
     return _sorted(hypothesis) in _truths(r) or (unseen and hypothesis == "none")
 
@@ -127,7 +127,7 @@ def log_score(r: Record) -> float:
 
 
 def drop_vs_true_form(r: Record) -> float | None:
-    """Fall of the held-out error over that of the true form, fitted on its own; None where nothing can fall."""
+    """Fall of the held-out error over that of the true form, fitted on its own; None if nothing can fall."""
     if r.get("true_form") is None or r.get("held_out") is None or r["visibility"] <= VISIBLE:
         return None
     before, after = r["held_out"]
@@ -191,10 +191,10 @@ def _calibration_error(pairs: np.ndarray) -> float:
 
 def reliability(records: Sequence[Record]) -> list[dict[str, Any]]:
     """How often the likeliest hypothesis was true, by the probability it was given."""
-    told = [(p, is_true(r, name)) for r in records if r["set"] for name, p in [likeliest(r)]]
+    stated = [(p, is_true(r, name)) for r in records if r["set"] for name, p in [likeliest(r)]]
     rows = []
     for low, high in itertools.pairwise(LEVELS):
-        inside = [(p, true) for p, true in told if low <= p < high]
+        inside = [(p, true) for p, true in stated if low <= p < high]
         if inside:
             count = sum(true for _, true in inside)
             rows.append({

@@ -3,14 +3,14 @@
 
     python benchmarks/diagnosis.py --cases 1000 --seed 100000 --json out.json
 
-Each case draws a rig of its own: its kind, drive law, true values, sensors, commands, noise and timing, and what is
+Each case draws a new rig: its kind, drive law, true values, sensors, commands, noise and timing, and what is
 wrong with it, in one of several forms and at any strength (benchmarks/drawn_rigs). Its physics imports nothing of the
-model's, and what is judged are bags. Seeds below 100000 are there to tune on; a reported run must not touch them.
+model's, and what is judged are bags. Seeds below 100000 are for tuning; a reported run must not use them.
 
 `--study old` takes the cases on the emulated testbed instead: one rig, three strengths. There seeds 9000 to 9999 were
 used to choose the diagnosis's numbers.
 
-A run that is cut off keeps what it has: the JSON file is written anew after each case, and --continue goes on.
+An interrupted run keeps its results: the JSON file is rewritten after each case, and --continue resumes the run.
 With --scheduler each case is a task of a Dask cluster, whose machines have this repository at the same path.
 """
 
@@ -76,14 +76,14 @@ def _said(
     model: Model, plays: Sequence[Play], seed: int, threads: int, truth: str, kind: str, only: Sequence[str] | None,
     proposes: bool = False,
 ) -> Record:  # fmt: skip
-    """What the diagnosis says, and what the true form would leave, fitted on its own."""
+    """The diagnosis, and what the true form would leave, fitted on its own."""
     started = time.monotonic()
     try:
-        found = diagnose(model, plays, seed=seed, only=only, nthread=threads, experiments=proposes)
-    except Exception as error:  # a case that breaks the diagnosis is a result, and the others are to be run
+        diagnosis = diagnose(model, plays, seed=seed, only=only, nthread=threads, experiments=proposes)
+    except Exception as error:  # a case that crashes the diagnosis is a result, and the others still run
         return {"verdict": "failed", "effects": [], "stated": [], "set": {}, "leaves": 0.0, "held_out": None,
                 "error": f"{type(error).__name__}: {error}", "seconds": time.monotonic() - started}  # fmt: skip
-    v = found.verdict
+    v = diagnosis.verdict
     record: Record = {
         "verdict": v.verdict,
         "effects": list(v.effects),
@@ -94,8 +94,8 @@ def _said(
         "seconds": v.seconds,
         "evaluations": v.evaluations,
     }
-    if proposes and found.experiment is not None:
-        record["experiment"] = found.experiment.command
+    if proposes and diagnosis.experiment is not None:
+        record["experiment"] = diagnosis.experiment.command
     if kind in ("single", "pair"):
         try:
             record["true_form"] = add_effects(model, plays, truth.split(" + "), threads).after.held_out
@@ -134,14 +134,14 @@ def judged(
 
 
 def write(file: Path, content: dict[str, Any]) -> None:
-    """All of it or nothing."""
+    """Writes all of it or nothing."""
     beside = file.with_name(f".{file.name}.{os.getpid()}")
     beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     beside.replace(file)
 
 
 def earlier(file: Path, settings: dict[str, Any]) -> list[Record]:
-    """The records of a run that was cut off.
+    """The records of an interrupted run.
 
     Raises:
         SystemExit: there is none, or it ran with other settings.
@@ -164,7 +164,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--study", choices=list(STUDIES), default="drawn")
     parser.add_argument("--rig", choices=list(PLANTS), help="this kind of rig only; drawn cases only")
     parser.add_argument("--threads", type=int, default=0, help="of each case; 0 for one per CPU")
-    parser.add_argument("--workers", type=int, default=1, help="cases side by side; the seconds are then no measure")
+    parser.add_argument("--workers", type=int, default=1, help="cases side by side; their seconds then mean little")
     parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do the cases")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--continue", dest="goes_on", action="store_true", help="keep the cases that --json holds")
@@ -172,7 +172,7 @@ def arguments() -> argparse.Namespace:
     if given.goes_on and not given.json:
         parser.error("--continue needs --json with the file of an earlier run.")
     if given.scheduler and given.workers != 1:
-        parser.error("--workers is for this machine; a scheduler has workers of its own.")
+        parser.error("--workers is for this machine; a scheduler has its own workers.")
     if given.rig and given.study != "drawn":
         parser.error("--rig chooses among drawn rigs; the old study has one rig.")
     return given
@@ -183,7 +183,7 @@ def main() -> None:
     given = arguments()
     low, high = TUNING[given.study]
     if given.seed <= high and given.seed + given.cases > low:
-        print(f"Note: seeds {low} to {high} are there to tune on; these figures flatter the diagnosis.")
+        print(f"Note: seeds {low} to {high} are for tuning; these figures flatter the diagnosis.")
     settings = {"study": given.study, "rig": given.rig, "seed": given.seed}
     records = earlier(given.json, settings) if given.goes_on else []
     done = {r["seed"] for r in records}
@@ -194,8 +194,8 @@ def main() -> None:
     for number, record in enumerate(cases, start=1):
         records.append(record)
         records.sort(key=lambda r: r["seed"])
-        left = (time.monotonic() - started) / number * (len(seeds) - number)
-        print(f"[{number}/{len(seeds)}, {left / 60:.0f} min left] {record['seed']} {record['kind']} {record['truth']} "
+        rest = (time.monotonic() - started) / number * (len(seeds) - number)
+        print(f"[{number}/{len(seeds)}, {rest / 60:.0f} min left] {record['seed']} {record['kind']} {record['truth']} "
               f"({record['visibility']:.1f} x floor) -> {record['verdict']} {', '.join(record['stated'])} "
               f"[{record['seconds']:.0f} s]", flush=True)  # fmt: skip
         if given.json:
@@ -220,5 +220,5 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except InputError as error:  # nobody answers as scheduler
+    except InputError as error:  # no scheduler answers
         raise SystemExit(str(error)) from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attacks the command line with damaged and crafted files, and counts what it does about it.
+"""Attacks the command line with damaged and crafted files, and counts the outcomes.
 
     python benchmarks/hostile.py --tries 10000 --seed 0 --json hostile.json
 
@@ -95,7 +95,7 @@ URDF = """\
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a try ended: one of "refused", "handled" and FAILURES; `words` say more of a failure."""
+    """How a try ended: one of "refused", "handled" and FAILURES; `words` describe a failure."""
 
     kind: str
     words: str = ""
@@ -303,7 +303,7 @@ def damage_table(rng: random.Random, file: Path) -> None:
 
 
 def damage(rng: random.Random, file: Path) -> None:
-    """Changes one file for the worse."""
+    """Damages one file."""
     data = file.read_bytes()
     if file.suffix == ".mcap" and rng.random() < 0.6:
         # What no file can hold, and what cannot be read after the damage before.
@@ -381,13 +381,13 @@ def attempt(seed: int, valid: Path, folder: Path) -> Outcome:
     before = _content(inputs)
     outcome = _run(command, arguments, folder)
     if outcome.kind in ("refused", "handled"):
-        left = [str(path.relative_to(folder)) for path in out.rglob("*")]
-        hidden = [name for name in left if Path(name).name.startswith(".")]
+        remaining = [str(path.relative_to(folder)) for path in out.rglob("*")]
+        hidden = [name for name in remaining if Path(name).name.startswith(".")]
         others = [path.name for path in folder.iterdir() if path.name not in ("in", "out")]
         changed = [
             name for name, digest in _content(inputs).items() if before.get(name) != digest and name != "checkpoint"
         ]
-        if (wrong := hidden + others + changed) or (outcome.kind == "refused" and (wrong := left)):
+        if (wrong := hidden + others + changed) or (outcome.kind == "refused" and (wrong := remaining)):
             return Outcome("left_behind", f"{arguments}: {wrong}")
     return outcome
 
@@ -399,10 +399,10 @@ def _content(folder: Path) -> dict[str, str]:
 
 def _run(command: str, arguments: list[str], folder: Path) -> Outcome:
     call: Callable[[list[str]], int | None] = testbed if command == "testbed" else main
-    said, told = io.StringIO(), io.StringIO()
+    output, errors = io.StringIO(), io.StringIO()
     os.chdir(folder)
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
             code = call(arguments) or 0
     except SystemExit as ended:
         code = int(ended.code or 0)
@@ -412,13 +412,13 @@ def _run(command: str, arguments: list[str], folder: Path) -> Outcome:
         return Outcome("tracebacks", f"{arguments}: {error!r:.300}\n{traceback.format_exc()[-1500:]}")
     finally:
         os.chdir("/")
-    if "out of memory" in told.getvalue():
+    if "out of memory" in errors.getvalue():
         return Outcome("memory", str(arguments))
-    if code == 2 and told.getvalue().strip() and "Traceback" not in told.getvalue():
+    if code == 2 and errors.getvalue().strip() and "Traceback" not in errors.getvalue():
         return Outcome("refused")
     if code == 0:
         return Outcome("handled")
-    return Outcome("tracebacks", f"{arguments}: exit code {code}, {told.getvalue()[-500:]}")
+    return Outcome("tracebacks", f"{arguments}: exit code {code}, {errors.getvalue()[-500:]}")
 
 
 # The process that is attacked, and the one that counts
@@ -441,7 +441,7 @@ def study(seeds: list[int], progress: Callable[[int, Outcome], None] | None = No
     """Runs the tries of these seeds; the counts of how they ended, and every failure with its seed."""
     counts = {"tries": len(seeds), "refused": 0, "handled": 0, **dict.fromkeys(FAILURES, 0)}
     failures = []
-    left = list(seeds)
+    remaining = list(seeds)
     context = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory(prefix="hostile.") as folder:
         maker = context.Process(target=prepare, args=(Path(folder),))  # MuJoCo's threads must not be forked
@@ -449,15 +449,15 @@ def study(seeds: list[int], progress: Callable[[int, Outcome], None] | None = No
         maker.join()
         if maker.exitcode:
             raise SystemExit("The valid files could not be made.")
-        while left:
+        while remaining:
             here, there = context.Pipe(duplex=False)
-            worker = context.Process(target=_work, args=(left, Path(folder), there))
+            worker = context.Process(target=_work, args=(remaining, Path(folder), there))
             worker.start()
             there.close()
             alive = True
-            while left and alive:
-                seed, outcome, alive = _answer(worker, here, left[0])
-                left.remove(seed)
+            while remaining and alive:
+                seed, outcome, alive = _answer(worker, here, remaining[0])
+                remaining.remove(seed)
                 counts[outcome.kind] += 1
                 if outcome.kind in FAILURES:
                     failures.append({"seed": seed, "kind": outcome.kind, "words": outcome.words})

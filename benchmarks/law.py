@@ -5,11 +5,11 @@
 
 Of three cases in a row one is a healthy rig, one has something outside the library, and one has an effect of the
 library that is left out. Cases are those of benchmarks/drawn_rigs. One more command of another style is recorded, never
-fitted, and judges what is proposed: by how much the error falls there, against the true form fitted to the same plays,
-or against the noise where the library has no true form. Instead of a whole diagnosis only the base values are refitted
-before: quickly, or with --thorough from as many starts as a diagnosis does. Seeds below 100000 are there to tune on.
+fitted, and used to judge what is proposed: by how much the error falls there, compared with the true form fitted to the
+same plays, or with the noise if the library has no true form. Instead of a whole diagnosis only the base values are
+refitted before: quickly, or with --thorough from as many starts as in a diagnosis. Seeds below 100000 are for tuning.
 
-A run that is cut off keeps what it has: the JSON file is written anew after each case, and --continue goes on.
+An interrupted run keeps its results: the JSON file is rewritten after each case, and --continue resumes the run.
 """
 
 import argparse
@@ -32,8 +32,8 @@ TUNING = 100_000
 KINDS = ("healthy", "outside", "left_out")
 PERIOD = 0.03  # relative error that is still right
 HALF = 0.5  # of what the true form takes away on another command
-WORTH = 2.0  # floors left there at least; of less there is nothing to take away
-SHOWS = 1.6  # floors that a refitted model leaves, beyond which anything is said at all
+WORTH = 2.0  # floors left there at least; with less there is nothing to take away
+SHOWS = 1.6  # floors that a refitted model leaves, beyond which anything is proposed at all
 RIGHT = {
     "cogging": {"curve_angle"},
     "eccentric_gear": {"curve_sensor", "curve_angle"},
@@ -70,7 +70,7 @@ def judge(seed: int, threads: int, thorough: bool, effect: str | None) -> Record
         record: Record = {**case.to_json(), "visibility": min((h.visibility for h in case.hidden), default=0.0)}
         try:
             record |= _said(case, threads, thorough)
-        except Exception as error:  # a case that breaks is a result, and the others are to be run
+        except Exception as error:  # a case that crashes is a result, and the others still run
             record |= {"error": f"{type(error).__name__}: {error}", "proposals": []}
     return record | {"seconds": time.process_time() - started}
 
@@ -79,7 +79,7 @@ def _said(case: Case, threads: int, thorough: bool) -> Record:
     model, plays = loaded(case.model, case.bags)
     base, proposals = propose_on(model, plays, threads, case.seed, thorough)
     other = loaded(case.model, case.fresh)[1] if case.fresh else []
-    said = []
+    entries = []
     for proposal in proposals:
         first = proposal.depends.first
         one: Record = {
@@ -91,8 +91,8 @@ def _said(case: Case, threads: int, thorough: bool) -> Record:
         }  # fmt: skip
         if other and proposal.model is not None:
             one["other_command"] = [floors_on(m, other, proposal.axis, threads) for m in (base, proposal.model)]
-        said.append(one)
-    record: Record = {"proposals": said}
+        entries.append(one)
+    record: Record = {"proposals": entries}
     axis = _axis(model, case)
     if other and axis:
         record["base_on_other"] = floors_on(base, other, axis, threads)
@@ -102,9 +102,9 @@ def _said(case: Case, threads: int, thorough: bool) -> Record:
     return record
 
 
-def _named(said: Dependence) -> str:
+def _named(dependence: Dependence) -> str:
     """The free curve over what is named; a command is no angle, and a pair is not one of the two."""
-    return "pair" if said.pair else "command" if said.variable == "command" else said.curve
+    return "pair" if dependence.pair else "command" if dependence.variable == "command" else dependence.curve
 
 
 def _axis(model: Model, case: Case) -> str:
@@ -121,14 +121,14 @@ def figures(records: Sequence[Record]) -> dict[str, Any]:
     """Key -> rate or median, with _n and _interval.
 
     A case is visible by what the true rig's own values cannot make up for; `_shown` counts only those of which the
-    refitted model leaves more than noise, for of the others nothing can be said.
+    refitted model leaves more than noise, because nothing can be found of the others.
     """
     visible = [r for r in records if r["kind"] != "healthy" and r["visibility"] > VISIBLE]
     shown = [r for r in visible if r.get("base_on_own", 0.0) > SHOWS]
     healthy = [r for r in records if r["kind"] == "healthy"]
     waves = [(_of(r).get("period"), r["hidden"][0]["period"]) for r in shown if r["hidden"][0]["period"]]
     errors = [abs(p / true - 1.0) for p, true in waves if p]
-    found: dict[str, Any] = {}
+    rates: dict[str, Any] = {}
     for key, hits in {
         "variable_right": [_is_right(r) for r in visible if r["hidden"][0]["effect"] in RIGHT],
         "variable_right_shown": [_is_right(r) for r in shown if r["hidden"][0]["effect"] in RIGHT],
@@ -139,13 +139,13 @@ def figures(records: Sequence[Record]) -> dict[str, Any]:
         "period_right": [e <= PERIOD for e in errors],
         "failed": ["error" in r for r in records],
     }.items():
-        found[key] = float(np.mean(hits)) if hits else None
-        found[f"{key}_n"] = len(hits)
-        found[f"{key}_interval"] = list(wilson(sum(hits), len(hits))) if hits else None
-    found["period_error"] = float(np.median(errors)) if errors else None
-    found["period_error_n"] = len(errors)
-    found["period_error_interval"] = [float(np.quantile(errors, q)) for q in (0.05, 0.95)] if errors else None
-    return found
+        rates[key] = float(np.mean(hits)) if hits else None
+        rates[f"{key}_n"] = len(hits)
+        rates[f"{key}_interval"] = list(wilson(sum(hits), len(hits))) if hits else None
+    rates["period_error"] = float(np.median(errors)) if errors else None
+    rates["period_error_n"] = len(errors)
+    rates["period_error_interval"] = [float(np.quantile(errors, q)) for q in (0.05, 0.95)] if errors else None
+    return rates
 
 
 def _is_right(record: Record) -> bool:
@@ -153,9 +153,9 @@ def _is_right(record: Record) -> bool:
 
 
 def _is_among(record: Record) -> bool:
-    """Whether the right variable is among those that are said not to be told apart."""
-    said = _of(record)
-    return bool({said.get("curve"), *said.get("ties", ())} & RIGHT[record["hidden"][0]["effect"]])
+    """Whether the right variable is among those reported as indistinguishable."""
+    proposal = _of(record)
+    return bool({proposal.get("curve"), *proposal.get("ties", ())} & RIGHT[record["hidden"][0]["effect"]])
 
 
 def _is_half(record: Record) -> bool | None:
@@ -171,7 +171,7 @@ def _is_half(record: Record) -> bool | None:
 
 
 def _of(record: Record) -> Record:
-    """What was said of the axis on which something is hidden; empty where nothing was."""
+    """The proposal for the axis on which something is hidden; empty if there is none."""
     place = record["hidden"][0]["place"]
     own = [p for p in record["proposals"] if p["axis"] == place or p["axis"] == place.rpartition("_")[2]
            or place.startswith(p["axis"])]  # fmt: skip
@@ -204,21 +204,21 @@ def main() -> None:
     if given.goes_on and not given.json:
         parser.error("--continue needs --json with the file of an earlier run.")
     if given.seed < TUNING:
-        print(f"Note: seeds below {TUNING} are there to tune on; these figures flatter what is found.")
+        print(f"Note: seeds below {TUNING} are for tuning; these figures flatter the result.")
     settings = {"seed": given.seed, "effect": given.effect, "thorough": given.thorough}
     records = earlier(given.json, settings) if given.goes_on else []
     done = {r["seed"] for r in records}
     seeds = [seed for seed in range(given.seed, given.seed + given.cases) if seed not in done]
     for number, record in enumerate(judged(seeds, given), start=1):
         records = sorted([*records, record], key=lambda r: r["seed"])
-        said = "; ".join(f"{p['axis']}: {p['curve'] or '-'} {p['kind']} {p['equation']} {p['floors'][0]:.3g} floors"
+        text = "; ".join(f"{p['axis']}: {p['curve'] or '-'} {p['kind']} {p['equation']} {p['floors'][0]:.3g} floors"
                          for p in record["proposals"])  # fmt: skip
         hidden = ", ".join(f"{h['effect']}.{h['place']}" for h in record["hidden"]) or "nothing"
         print(f"[{number}/{len(seeds)}] {record['seed']} {hidden} ({record['visibility']:.1f} x floor) -> "
-              f"{record.get('error') or said or 'silent'} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
+              f"{record.get('error') or text or 'silent'} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
         if given.json:
-            found = figures(records)
-            write(given.json, {**found, **settings, "figures": found, "cases": records})
+            measured = figures(records)
+            write(given.json, {**measured, **settings, "figures": measured, "cases": records})
     for key, value in figures(records).items():
         print(f"{key:30s}{value}")
 

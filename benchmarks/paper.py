@@ -131,7 +131,7 @@ def play_all(
     bags = []
     for number, command in enumerate(tqdm(commands, desc=f"playing {commands[0].name.split('/')[0]}", leave=False)):
         _, steps = command.sample(RATE)
-        # The rig rests at the initial pose; the first sample at which it is told to move comes after it.
+        # The rig rests at the initial pose; the first sample at which it is commanded to move comes after it.
         held = np.vstack([command.initial, steps, *[steps[-1]] * round(longer * RATE)])
         run = run_offline(testbed, np.arange(len(held)) / RATE, held, trials, seed + number)
         bags.append(write_bag(out / "bags" / command.name.replace("/", "_"), run, command.name, command.hash))
@@ -143,8 +143,8 @@ def evolve(model: Model, axis: str, plays: list[Play], generations: int, seed: i
     free = tuple(f"drive.{axis}.{name}" for name in ("p", "i", "d", "delay"))
     signals = (f"board_{axis}",)
     strategy = EvolutionStrategy(generations=generations)
-    with fit_bars("bar") as told:
-        bar = told(Part(axis, free, signals, ()), strategy.budget) if told else None
+    with fit_bars("bar") as bars:
+        bar = bars(Part(axis, free, signals, ()), strategy.budget) if bars else None
         return calibrate(model, free, plays, Settings(method=strategy, seed=seed, signals=signals), bar)
 
 
@@ -168,7 +168,7 @@ def at_rest(trials: Trials, tunnel: Tunnel, signal: str) -> Rest:
 
 
 def tell(fits: dict[str, Fit], shares: dict[str, dict[str, list[float]]], rest: dict[str, Rest]) -> None:
-    """Prints the tables and what they say."""
+    """Prints the tables and the findings."""
     out = console()
     ours = dict(list(PAPER_1.items())[:2])
     half = {}
@@ -205,7 +205,7 @@ def findings(shares: dict[str, dict[str, list[float]]], rest: dict[str, Rest]) -
     x, y = shares["x"], shares["y"]
     at_5 = all(s[name][-1] > s["standard"][-1] for s in (x, y) for name in ("manual", "ES"))
     odd = [k for i, k in enumerate(KS) if x["standard"][i] > max(x["manual"][i], x["ES"][i])]
-    told = [
+    statements = [
         f"[{'yes' if at_5 else 'no'}] At kR = 5 the optimised sets are more alike than the standard set on both axes.",
         f"[{'yes' if y['ES'][-1] >= x['ES'][-1] and y['ES'][0] > x['ES'][0] else 'no'}] phi_Y becomes more alike than "
         "phi_X.",
@@ -215,11 +215,11 @@ def findings(shares: dict[str, dict[str, list[float]]], rest: dict[str, Rest]) -
         + (f" (here kR = {', '.join(f'{k:g}' for k in odd)})." if odd else "."),
     ]
     ratio = rest["x"].offset / max(rest["x"].half_width, 1e-9)
-    told.append(
+    statements.append(
         f"At rest the real phi_X lies {ratio:.1f} half-widths of its tunnel from the target; a simulation that reaches "
         f"its target is outside until kR = {ratio:.1f}, while the slow standard set crosses the tunnel on its way."
     )
-    return told
+    return statements
 
 
 if __name__ == "__main__":

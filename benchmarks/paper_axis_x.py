@@ -61,7 +61,7 @@ class Row:
 
     Attributes:
         case: what was changed.
-        method: how the values were found; "" for given ones.
+        method: how the values were found; "" if they were given.
         values: P (1/s), I (1/s^2), D (1/s), delay (s).
         fitness: rad, equation 11 over the recording that was fitted, divided by its rotations.
         paper_fitness: the same of the paper's ES (phi_X).
@@ -83,7 +83,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="two lengths, no other rigs, 2 generations")
     parser.add_argument("--seed", type=int, default=0, help="of the rig's noise and of the fits (default: 0)")
-    parser.add_argument("--bags", type=Path, help="folder for the recordings; what lies there is not played again")
+    parser.add_argument("--bags", type=Path, help="folder for the recordings; those already there are not played again")
     parser.add_argument("--json", type=Path, help="write all figures there; values that it holds are not fitted again")
     options = parser.parse_args()
     rows = []
@@ -123,11 +123,11 @@ class Study:
         yield self._fitted("held for 0.5 s", cut(held, 0.5), es)
         if self._quick:
             return
-        for told, changes in OTHER_RIGS:
+        for case, changes in OTHER_RIGS:
             rig = replace(self._rig, reality=self._rig.reality.with_values(changes))
-            plays = self._rotations(rig, USUAL, told.replace(" ", "_"))
-            yield self._fitted(told, plays)
-        yield self._fitted(told, plays, es)
+            plays = self._rotations(rig, USUAL, case.replace(" ", "_"))
+            yield self._fitted(case, plays)
+        yield self._fitted(case, plays, es)
         other = self._model.with_values(named(PAPER_1["manual"]))
         yield self._fitted("held for 2 s, as in the study", usual, es)
         yield self._fitted("started at the manual set", usual, es, model=other)
@@ -169,7 +169,7 @@ class Study:
 
 
 def known(file: Path | None) -> dict[tuple[str, str], Sequence[float]]:
-    """Values by case and method, of a run that broke off or had fewer cases."""
+    """Values by case and method, of a run that was interrupted or had fewer cases."""
     if file is None or not file.exists():
         return {}
     return {(row["case"], row["method"]): row["values"] for row in json.loads(file.read_text(encoding="utf-8"))["rows"]}

@@ -3,8 +3,8 @@
 
 A rig is an MJCF of physical facts and a text in benchmarks/recordings, and an entry here; all else is done by
 `eps-tunnel new-rig`, `check` and `diagnose`. Writes the figures as JSON (--json) and pages into docs/recordings
-(--pages): the text, the figures between two marks, and whatever a page says below them, which is kept. What stands in
---work is not run again.
+(--pages): the text, the figures between two marks, and whatever a page has below them, which is kept. Commands
+with a log in --work are not run again.
 """
 
 import argparse
@@ -88,7 +88,7 @@ class Ran:
 
 
 def ran(words: list[str], log: Path, data: Path, work: Path, threads: int) -> Ran:
-    """Runs a command unless its log says that it was; the log is kept beside its files."""
+    """Runs a command unless its log says that it was; the log is kept next to its files."""
     if log.is_file():
         return Ran(**json.loads(log.read_text(encoding="utf-8")))
     print(shlex.join(words), file=sys.stderr, flush=True)
@@ -120,12 +120,12 @@ def measured(name: str, data: Path, work: Path, threads: int) -> dict[str, Any]:
         words = [tool, "diagnose", "--real", *map(str, at), *beside, *own, "--out", str(work / f"{name}.why")]
         steps.append(ran(words, work / f"{name}.diagnose", data, work, threads))
     for step in steps:
-        told = {"exit": step.code, "processor_s": step.processor, "wall_s": step.wall}
-        figures["commands"].append({"words": ["eps-tunnel", *step.words[1:]], **told})
+        cost = {"exit": step.code, "processor_s": step.processor, "wall_s": step.wall}
+        figures["commands"].append({"words": ["eps-tunnel", *step.words[1:]], **cost})
     file = work / f"{name}.why" / "diagnosis.json"
     if file.is_file():
-        found = json.loads(file.read_text(encoding="utf-8"))
-        figures |= {key: found.get(key) for key in KEPT}
+        diagnosis = json.loads(file.read_text(encoding="utf-8"))
+        figures |= {key: diagnosis.get(key) for key in KEPT}
     else:
         figures["trouble"] = steps[-1].output[-2000:]
     return figures
@@ -148,11 +148,11 @@ def page_text(figures: dict[str, Any], rig: Recorded) -> str:
     lines += [f"**{figures['verdict']}**: {figures['sentence']}", ""]
     lines += ["| axis | hypothesis | probability |", "|---|---|---|"]
     for axis, one in figures["axes"].items():
-        told = sorted(one["marginals"].items(), key=lambda item: -item[1])
-        lines += [f"| {axis} | {name} | {p:.2f} |" for name, p in told if p >= 0.02]
+        marginals = sorted(one["marginals"].items(), key=lambda item: -item[1])
+        lines += [f"| {axis} | {name} | {p:.2f} |" for name, p in marginals if p >= 0.02]
     lines += ["", "| signal | floors that remain |", "|---|---|"]
     for one in figures["axes"].values():
-        lines += [f"| {signal} | {_number(left)} |" for signal, left in one["remaining"].items()]
+        lines += [f"| {signal} | {_number(floors)} |" for signal, floors in one["remaining"].items()]
         before, after = one["floors"]
         lines += [f"| all, refitted -> with effects | {_number(before)} -> {_number(after)} |"]
     unit, scale = rig.unit
@@ -163,21 +163,21 @@ def page_text(figures: dict[str, Any], rig: Recorded) -> str:
         lines.append(f"| {given['name']} | {kind} | {errors} |")
     lines += _law(figures.get("proposed_effect"))
     order = ", ".join((*rig.fitted, *rig.held_out))
-    lines += ["", f"Commands are numbered in the order {order}, those held out anew."]
+    lines += ["", f"Commands are numbered in the order {order}; those held out are numbered separately."]
     spent = [f"{one['words'][1]} {one['processor_s']:.0f} s" for one in figures["commands"]]
     lines += ["", f"Processor time: {', '.join(spent)}; {figures['evaluations']} roll-outs.", ""]
     return "\n".join(lines)
 
 
 def _law(proposed: dict[str, Any] | None) -> list[str]:
-    """What is said of a law where nothing known explains the gap: in words, and what it leaves where left out."""
+    """The proposed law, if nothing known explains the gap: in words, and what it leaves on left-out stretches."""
     if not proposed:
         return []
     lines = ["", proposed["sentence"]]
     if proposed.get("refit"):
         form = proposed["equation"].replace("|", "\\|")  # within a table
-        left = f"{_number(proposed['base_held_out'])} | {_number(proposed['refit']['held_out'])}"
-        lines += ["", "| law | floors without it, left out | with it |", "|---|---|---|", f"| {form} | {left} |"]
+        floors = f"{_number(proposed['base_held_out'])} | {_number(proposed['refit']['held_out'])}"
+        lines += ["", "| law | floors without it, left out | with it |", "|---|---|---|", f"| {form} | {floors} |"]
     return lines
 
 
@@ -187,14 +187,14 @@ def _number(value: float) -> str:
 
 
 def _typed(words: list[str]) -> str:
-    """A command as a person types it, folded at its options."""
+    """A command as typed, folded at its options."""
     text = " ".join(word if word.startswith("$") else shlex.quote(word) for word in words)
     text = text.replace(str(HERE.parent) + "/", "")
     return text.replace(" --", " \\\n    --")
 
 
 def write_page(name: str, text: str) -> None:
-    """The page of a rig: its text, the figures between the marks, and what the page says below them already."""
+    """The page of a rig: its text, the figures between the marks, and what the page already has below them."""
     file, about = PAGES / f"{name}.md", (HERE / "recordings" / f"{name}.md").read_text(encoding="utf-8")
     old = file.read_text(encoding="utf-8") if file.is_file() else END
     PAGES.mkdir(parents=True, exist_ok=True)
@@ -202,7 +202,7 @@ def write_page(name: str, text: str) -> None:
 
 
 def main() -> int:
-    """Runs, prints the verdicts, writes JSON and pages; exit code 1 where a rig came to no verdict."""
+    """Runs, prints the verdicts, writes JSON and pages; exit code 1 if a rig has no verdict."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="folder of the recordings")
     parser.add_argument("--work", type=Path, required=True, metavar="DIR", help="folder for what is made")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each entry of the emulated testbed shows beside the noise: what the drive's values alone, refitted, leave.
+"""What each entry of the emulated testbed shows against the noise: what the drive's values alone, refitted, leave.
 
 Root mean square over the noise floor, for the weak, the medium and the strong case; a complete model leaves about 1.
-A "!" marks cases whose trials differ as no effect of the library makes them, which widens the floor.
+A "!" marks cases whose trials differ in a way that no effect of the library explains, which widens the floor.
 
     python benchmarks/strengths.py [--only NAME ...] [--seed S]
 """

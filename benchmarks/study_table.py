@@ -44,10 +44,10 @@ def page(content: dict[str, Any]) -> str:
     """The part of the page, in Markdown."""
     records: list[Record] = content["cases"]
     kinds = Counter(r["kind"] for r in records)
-    told = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in sorted(kinds.items()))
+    counts = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in sorted(kinds.items()))
     study = "" if content["study"] == "drawn" else f" --study {content['study']}"
     lines = [
-        f"{len(records)} cases of {content['date']}, seeds {records[0]['seed']} to {records[-1]['seed']}: {told}. In",
+        f"{len(records)} cases of {content['date']}, seeds {records[0]['seed']} to {records[-1]['seed']}: {counts}. In",
         "brackets: how many cases speak to a figure. Intervals are of 95 %.",
         "",
         f"    python benchmarks/diagnosis.py --cases {len(records)} --seed {content['seed']}{study} "
@@ -100,7 +100,7 @@ def _reliability(records: Sequence[Record]) -> Iterator[str]:
 def _misses(records: Sequence[Record]) -> Iterator[str]:
     missed = [r for r in records if not is_right(r)]
     left_open = sum(is_undecided(r) for r in missed)
-    yield f"All that was not told right, {len(missed)} of {len(records)}; {left_open} of them undecided with the truth:"
+    yield f"Cases not named right, {len(missed)} of {len(records)}; {left_open} of them undecided with the truth:"
     yield ""
     yield "| seed | rig | hidden | shows | verdict | stated set |"
     yield "|---|---|---|---|---|---|"

@@ -4,18 +4,19 @@
     python benchmarks/values.py --cases 200 --seed 100000 --named --json out.json
 
 Each case draws a rig: gain, D and delay of a drive, three commands, five trials of each with sensor noise, ticks and
-starts that differ. Once the model has all that the rig has; once the rig has one effect of the library more, and its
-strength is drawn too. A delay of the commands is left out there, for it adds to the drive's own and nothing tells them
-apart. The rigs are made by the library's own physics, so that true values exist at all; the noise is not the model's.
+starts that differ. Once the model has all that the rig has; once the rig has one more effect of the library, and its
+strength is drawn too. A delay of the commands is excluded there, because it adds to the drive's own and cannot be
+separated from it. The rigs are made by the library's own physics, so that true values exist at all; the noise is not
+the model's.
 
     interval_coverage           share of values whose 95 % interval holds the truth
-    interval_coverage_missing   the same where the model lacks an effect
+    interval_coverage_missing   the same if the model lacks an effect
     interval_coverage_named     the same of the drive's values and the effect's, once the effect is added (--named)
     repeat_agreement            share of pairs of recordings of one rig whose values agree within their intervals
     width_ratio_designed        half-widths after a play that `next-experiment --for values` designs, over those after
                                 excite_12s, which moves as long; geometric mean over values and rigs
 
-Seeds below 100000 are there to tune on.
+Seeds below 100000 are for tuning.
 """
 
 import argparse
@@ -76,17 +77,17 @@ def drawn(rng: np.random.Generator, missing: bool) -> tuple[dict[str, float], st
 
 def commands(rng: np.random.Generator) -> list[Command]:
     """Three of 2.6 s on one axis."""
-    found = []
+    three = []
     for number in range(3):
         size, frequency = np.radians(rng.uniform(1.5, 3.5)), float(rng.uniform(1.0, 2.5))
         shapes = (Hold(0.2), Step(0.5, size), Step(0.4, -size / 2), Triangle(0.8, size / 2, frequency), Ramp(0.4, size),
                   Step(0.3, 0.0))  # fmt: skip
-        found.append(Command(str(number), ("motor_x", "motor_y"), (0.0, 0.0), (shapes, (Hold(2.6),))))
-    return found
+        three.append(Command(str(number), ("motor_x", "motor_y"), (0.0, 0.0), (shapes, (Hold(2.6),))))
+    return three
 
 
 def play(rig: Model, command: Command, rng: np.random.Generator) -> Play:
-    """A command played on a rig: noise on every reading, ticks of the encoder, a start of its own for each trial."""
+    """A command played on a rig: noise on every reading, ticks of the encoder, a different start for each trial."""
     time_, targets = command.sample(RATE)
     count = (len(time_) - 1) * STEPS + 1
     start = SPREAD * rng.standard_normal(TRIALS)
@@ -207,16 +208,16 @@ def main() -> None:
     }
     started = time.monotonic()
     records: dict[str, list[Record]] = {name: [] for name in jobs}
-    # All kinds side by side, so that a run that is stopped says something of each.
+    # All kinds side by side, so that an interrupted run has results of each.
     order = sorted((at / len(todo), name, at) for name, (_, todo) in jobs.items() for at in range(len(todo)))
     with ProcessPoolExecutor(given.workers, multiprocessing.get_context("spawn")) as pool:
         waiting = [(name, pool.submit(jobs[name][0], jobs[name][1][at])) for _, name, at in order]
         for name, one in waiting:
             records[name].append(one.result())
             if given.json:
-                found = flat(figures(records))
-                content = {"seed": given.seed, "quick": given.quick, "figures": found, "cases": records}
-                given.json.write_text(json.dumps({**found, **content}, indent=1) + "\n", encoding="utf-8")
+                measured = flat(figures(records))
+                content = {"seed": given.seed, "quick": given.quick, "figures": measured, "cases": records}
+                given.json.write_text(json.dumps({**measured, **content}, indent=1) + "\n", encoding="utf-8")
     counts = ", ".join(f"{len(todo)} {name}" for name, (_, todo) in jobs.items() if todo)
     print(f"Rigs: {counts}; {time.monotonic() - started:.0f} s", flush=True)
     for key, figure in figures(records).items():

@@ -124,14 +124,14 @@ def test_what_no_effect_describes_is_called_unknown(effect: str, only: tuple[str
     v = diagnose(wrong_model(), [as_play(recorded(effect))], only=only).verdict
     assert v.verdict == "unknown"
     assert v.effects == ()
-    assert not any("taken for known" in note for note in v.notes)
+    assert not any("assumed to be right" in note for note in v.notes)
 
 
 def test_a_value_that_the_model_states_wrongly_is_doubted_where_no_effect_explains_what_is_left() -> None:
     weaker = wrong_model().with_values({"drive.x.torque": 0.25})
     v = diagnose(weaker, [as_play(recorded())], only=[]).verdict
     assert v.verdict == "unknown"
-    assert v.notes[0].startswith("drive.x.torque is taken for known, 0.25 N m (set by hand).")
+    assert v.notes[0].startswith("drive.x.torque is assumed to be right, 0.25 N m (set by hand).")
 
 
 def test_an_axis_that_is_turned_along_is_told_though_the_model_is_wrong_about_the_other_s_drive() -> None:

@@ -44,8 +44,8 @@ class Hidden:
         strength: in the form's own unit.
         deviation: by how much it moves the positions, root mean square over the floor of the mean of the trials.
         visibility: the same, after all that other values of the drive and the stated ones can make up for.
-        first_order: the same as far as slopes tell; by this the strength was chosen.
-        also: names in the library that are as right, for the form is literally theirs.
+        first_order: the same to first order; the strength was chosen by this.
+        also: names in the library that are as right, because the form is literally theirs.
         period: rad, of what goes by waves over the angle; 0 for the others.
     """
 
@@ -83,7 +83,7 @@ class Case:
         model: file of the model; `bags` those of the recordings.
         styles: of the commands, one for each play.
         rate, trials: Hz of the readings; trials of each play.
-        fresh: bags of one more command, that nobody fits; none unless asked for.
+        fresh: bags of one more command, that is never fitted; none unless requested.
     """
 
     seed: int
@@ -139,7 +139,7 @@ def draw(
     chosen = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     drawn_rig, law = str(rng.choice(list(PLANTS))), str(rng.choice(LAWS))
     kind, rig = kind or chosen, rig or drawn_rig
-    while True:  # a rig with all that is drawn may be one that nobody would run
+    while True:  # a rig with everything that is drawn may be unusable
         try:
             return _draw(rng, seed, folder, kind, rig, law, effect, fresh)
         except DivergedError:
@@ -168,10 +168,10 @@ def _draw(
         wanted = float(np.exp(rng.uniform(np.log(low), np.log(VISIBLE[1]))))
         shape = rng.random(5)
         sign = float(rng.choice([-1.0, 1.0])) if form.signed else 1.0
-        found = calibrated(rig, plans[0], floors, form, axis, place, wanted, sign, shape)
-        if found.first_order >= ENOUGH * low:  # no motion of this rig shows the others
-            reality = form.apply(rig, reality, axis, place, sign * found.strength, shape)
-            hidden.append(replace(found, period=_period(reality, form.effect, axis)))
+        item = calibrated(rig, plans[0], floors, form, axis, place, wanted, sign, shape)
+        if item.first_order >= ENOUGH * low:  # no motion of this rig shows the others
+            reality = form.apply(rig, reality, axis, place, sign * item.strength, shape)
+            hidden.append(replace(item, period=_period(reality, form.effect, axis)))
     folder.mkdir(parents=True, exist_ok=True)
     marked = bool(rng.random() < 0.7)
     bags: list[File] = []
@@ -240,7 +240,7 @@ def _floors(rig: Rig, plan: Plan, trials: int, seed: int) -> dict[str, float]:
     runs = record(rig.reality, plan, REPLICAS, seed * 10 + 9)
     still = clean(rig.reality, plan)
     times = np.arange(len(next(iter(still.values())))) / plan.rate
-    found = {}
+    floors = {}
     for name, sensor in rig.reality.sensors.items():
         if sensor.quantity in ("motor", "load"):
             inside = (times > SETTLED) & (times < plan.seconds - 0.1)
@@ -249,8 +249,8 @@ def _floors(rig: Rig, plan: Plan, trials: int, seed: int) -> dict[str, float]:
             # Of the ticks' error that part remains in a mean which noise does not spread (Widrow and Kollar 2008).
             stays = sensor.tick**2 / 12 * float(np.exp(-((2 * np.pi * sensor.noise / sensor.tick) ** 2)))
             allowed = TOLERANCE * float(np.std(still[name][int(SETTLED * plan.rate) :]))
-            found[name] = float(np.sqrt(max(varies, stays) / trials + stays * (1 - 1 / trials) + allowed**2))
-    return found
+            floors[name] = float(np.sqrt(max(varies, stays) / trials + stays * (1 - 1 / trials) + allowed**2))
+    return floors
 
 
 def calibrated(
@@ -276,10 +276,10 @@ def calibrated(
             apart = _stacked(clean(changed, plan), floors, plan) - healthy
         except DivergedError:
             return np.inf, np.inf
-        left = apart
+        remaining = apart
         if slopes.size:
-            left = apart - slopes @ lsq_linear(slopes, apart, bounds=(low, high)).x
-        return _size(apart, floors), _size(left, floors)
+            remaining = apart - slopes @ lsq_linear(slopes, apart, bounds=(low, high)).x
+        return _size(apart, floors), _size(remaining, floors)
 
     below: tuple[float, tuple[float, float]] | None = None
     above: tuple[float, tuple[float, float]] | None = None
@@ -305,9 +305,9 @@ def calibrated(
 def _refitted(
     rig: Rig, before: Reality, changed: Reality, plan: Plan, floors: dict[str, float], axis: int, most: float
 ) -> float:
-    """What a reality shows beside another one whose loose values are fitted to it, by Gauss-Newton in whole roll-outs.
+    """How a reality differs from another one whose loose values are fitted to it, by Gauss-Newton in whole roll-outs.
 
-    Slopes at the true values alone say too much: a drive that a large effect bends far can make up for more of it.
+    Slopes at the true values alone exaggerate: a drive that a large effect moves far can compensate for more of it.
     """
     shown, fitted = _stacked(clean(changed, plan), floors, plan), before
     least, apart = most, _stacked(clean(before, plan), floors, plan) - shown

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can be wrong with a drawn rig: each effect in the forms that nature gives it, at any strength.
 
-An effect that the model's library knows goes by the library's name; `OUTSIDE` names the others. A form turns a healthy
+An effect that the model's library knows has the library's name; `OUTSIDE` names the others. A form turns a healthy
 reality into one that has the effect: a new one is a function and an entry.
 """
 
@@ -32,7 +32,7 @@ class Form:
         sensor: whether its place is a signal instead of an axis.
         outside: whether no effect of the library is of this kind.
         before: the reality against which it is visible; None for the healthy one.
-        also: other names in the library that are right, for it is literally their law.
+        also: other names in the library that are right, because it is literally their law.
     """
 
     effect: str
@@ -77,7 +77,7 @@ def _two(rig: Rig, axis: int) -> bool:
 
 
 def _seen_twice(rig: Rig, axis: int) -> bool:
-    """Two sensors on one axis: what one of them does alone can be told from what the axis does."""
+    """Two sensors on one axis: an error of one of them can be separated from the axis's motion."""
     return len(rig.positions(axis)) > 1
 
 
@@ -448,12 +448,12 @@ CONTAINED_BY = {
 
 def forms_of(rig: Rig, outside: bool) -> list[tuple[Form, int, str]]:
     """Every form that a rig can have: form, number of the axis, place."""
-    found = []
+    possible = []
     for form in FORMS:
         if form.outside != outside:
             continue
         for axis, name in enumerate(rig.axes):
             if form.fits(rig, axis):
                 places = rig.positions(axis) if form.sensor else (name,)
-                found += [(form, axis, place) for place in places]
-    return found
+                possible += [(form, axis, place) for place in places]
+    return possible

@@ -156,11 +156,13 @@ def clean(reality: Reality, plan: Plan) -> dict[str, Array]:
     paths = tuple(replace(p, delay=p.delay + p.delay_jitter / 2, delay_jitter=0.0) for p in still.paths)
     motion = _moved(replace(still, paths=paths), plan, plan.times, np.random.default_rng(0), 0.0)
     times = np.arange(int(plan.seconds * plan.rate) + 1) / plan.rate
-    found = {}
+    readings = {}
     for name, sensor in still.sensors.items():
         seen = _seen(replace(sensor, delay=sensor.delay + sensor.delay_jitter / 2), motion, times, 0.0)
-        found[name] = np.mean([_ticked(seen + sensor.noise * z, sensor.tick, sensor.truncates) for z in SPREAD], axis=0)
-    return found
+        readings[name] = np.mean(
+            [_ticked(seen + sensor.noise * z, sensor.tick, sensor.truncates) for z in SPREAD], axis=0
+        )
+    return readings
 
 
 def _trial(reality: Reality, plan: Plan, rng: np.random.Generator, age: float) -> Trial:

@@ -250,29 +250,29 @@ def _drive(
 
 
 def _sensors(rng: np.random.Generator, plant: Plant, second: bool) -> dict[str, Sensor]:
-    found = {}
+    sensors = {}
     efforts, speeds = rng.random() < 0.9, rng.random() < 0.4
     belt = plant.joints != plant.loads
     for i, joint in enumerate(plant.joints):
         tick = 2 * pi / COUNT / float(rng.choice([1, 1, 4, 16]))
-        found[joint] = Sensor(i, "motor", noise=tick * float(rng.uniform(0.15, 1.0)), tick=tick)
+        sensors[joint] = Sensor(i, "motor", noise=tick * float(rng.uniform(0.15, 1.0)), tick=tick)
         if speeds:
-            found[f"{joint}_velocity"] = Sensor(i, "motor_speed", noise=float(rng.uniform(0.005, 0.03)))
+            sensors[f"{joint}_velocity"] = Sensor(i, "motor_speed", noise=float(rng.uniform(0.005, 0.03)))
         if efforts:
             step = plant.torque[i] * float(rng.choice([0.001, 0.004]))
-            found[f"{joint}_effort"] = Sensor(
+            sensors[f"{joint}_effort"] = Sensor(
                 i, "torque", noise=plant.torque[i] * float(rng.uniform(0.001, 0.006)), tick=step
             )
         if second:
             tick = plant.reach[i] * float(rng.uniform(0.002, 0.012))
             name = plant.loads[i] if belt else f"{joint}_link"
-            found[name] = Sensor(i, "load", noise=tick * float(rng.uniform(0.2, 0.8)), tick=tick)
-    return found
+            sensors[name] = Sensor(i, "load", noise=tick * float(rng.uniform(0.2, 0.8)), tick=tick)
+    return sensors
 
 
 def _loose(law: str, reality: Reality, friction: bool) -> tuple[Loose, ...]:
     """The drive's values freely, the stated ones as far as they may be wrong."""
-    found = []
+    values = []
     for axis, path in enumerate(reality.paths):
         names = {
             "velocity_pid": ("p", "d"),
@@ -282,10 +282,10 @@ def _loose(law: str, reality: Reality, friction: bool) -> tuple[Loose, ...]:
         for name in (*names[law], *(("coulomb", "viscous") if friction else ())):
             value = reality.physics.of(axis, name)
             step = 0.02 * value if value else 0.05
-            found.append(Loose(axis, name, -np.inf, np.inf, step))
-        found.append(Loose(axis, "delay", -path.delay, LONGEST_DELAY - path.delay, 0.001))
+            values.append(Loose(axis, name, -np.inf, np.inf, step))
+        values.append(Loose(axis, "delay", -path.delay, LONGEST_DELAY - path.delay, 0.001))
         for name in ("gain", "torque", "armature", "inertia", "stiffness", "damping"):
             value = reality.physics.of(axis, name)
             if value > 0 and np.isfinite(value) and name not in names[law] and (law, name) != ("pwm_servo", "gain"):
-                found.append(Loose(axis, name, -OFF * value, OFF / (1 - OFF) * value, 0.03 * value))
-    return tuple(found)
+                values.append(Loose(axis, name, -OFF * value, OFF / (1 - OFF) * value, 0.03 * value))
+    return tuple(values)

@@ -2,7 +2,7 @@
 """The default fit against the paper's evolution strategy and MuJoCo's own toolbox; the strategy's steps per second.
 
 All on the paper's rotations, as the emulated rig of config/testbed/paper.yaml plays them: the same residuals, model and
-start for everybody.
+start for all.
 """
 
 import io
@@ -113,7 +113,7 @@ def against_sysid(problem: Problem) -> dict[str, float]:
     """Time and end of the default method over those of `mujoco.sysid.optimize` as it comes, taken in turns.
 
     Both move normalised values in [0, 1]. The toolbox minimises the sum of squares, so the fitness is compared after
-    each has ended; `squares_vs_mujoco_sysid` tells its own measure.
+    each has ended; `squares_vs_mujoco_sysid` compares its own measure.
     """
 
     def residual(x: Array, _: object, **__: object) -> tuple[list[Array], None, None]:

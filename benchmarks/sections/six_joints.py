@@ -32,7 +32,7 @@ HIDDEN = "coulomb_friction.a1"
 
 
 def measure() -> dict[str, float]:
-    """`six_joint_diagnosis`, and `six_joint_named`: 1 where the friction is named and nothing beside it."""
+    """`six_joint_diagnosis`, and `six_joint_named`: 1 if the friction is named and nothing else."""
     command = find_sequence("excite_12s").commands[0]
     labyrinth = play(rig((hide("gravity_load", "y"),)), command, SEED)
     with tempfile.TemporaryDirectory() as folder:
@@ -67,8 +67,10 @@ def arm(folder: Path, joints: int = JOINTS) -> Model:
         }  # fmt: skip
         values = {"stiffness": (100.0 * 0.7**i, "N m/rad"), "damping": (5.0 * 0.7**i, "N m s/rad"),
                   "torque": (20.0 * 0.7**i, "N m"), "delay": (0.0, "s")}  # fmt: skip
-        told = {name: {"value": value, "unit": unit, "from": "chosen"} for name, (value, unit) in values.items()}
-        drives[f"a{i}"] = {"kind": "torque_pd", "values": told}
+        stated_values = {
+            name: {"value": value, "unit": unit, "from": "chosen"} for name, (value, unit) in values.items()
+        }
+        drives[f"a{i}"] = {"kind": "torque_pd", "values": stated_values}
     (folder / "arm.xml").write_text(
         '<mujoco model="arm"><compiler angle="radian" autolimits="true"/><option timestep="0.002" '
         'integrator="implicitfast"/><default><geom contype="0" conaffinity="0"/></default><worldbody>'

@@ -70,8 +70,8 @@ def seconds_of_diagnosis(model: Model, recorded: Play) -> float:
 def timed_diagnosis(model: Model, recorded: Play, only: tuple[str, ...] | None = None) -> tuple[float, tuple[str, ...]]:
     """Seconds of a diagnosis by the whole library, or by some of it, and the effects that it names."""
     started = time.perf_counter()
-    found = diagnose(model, [recorded], only=only, experiments=False)
-    named = found.verdict.effects if found.verdict.verdict == "effect" else ()
+    diagnosis = diagnose(model, [recorded], only=only, experiments=False)
+    named = diagnosis.verdict.effects if diagnosis.verdict.verdict == "effect" else ()
     return time.perf_counter() - started, named
 
 

@@ -129,7 +129,7 @@ def test_what_is_free_by_default_is_what_the_drives_and_effects_say() -> None:
 def test_what_only_an_effort_tells_of_a_drive_is_free_where_none_is_compared() -> None:
     model = load_model("pendulum")
     (axis,) = model.rig.axes
-    assert model.drives[axis.name].kind.told_by_effort == ("duty_gain",)
+    assert model.drives[axis.name].kind.identified_by_effort == ("duty_gain",)
     effort = replace(axis.measured[0], signal="duty", quantity="torque")
     model = replace(model, rig=replace(model.rig, axes=(replace(axis, measured=(*axis.measured, effort)),)))
     gain = f"drive.{axis.name}.duty_gain"

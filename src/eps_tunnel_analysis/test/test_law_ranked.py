@@ -61,7 +61,7 @@ def test_sets_of_one_and_more_terms_are_refitted_and_the_best_is_ranked_beside_k
     assert [c.term.name for c in found.formula.terms] == ["wave", "drag"]
     assert found.ranked["return_spring.pendulum"] < 0.05 < 0.9 < found.probability
     assert found.probability == found.ranked[f"{NAME}.pendulum"]
-    assert "Ranked beside 1 set" in found.sentence and found.to_json()["probability"] == found.probability
+    assert "Ranked with 1 set" in found.sentence and found.to_json()["probability"] == found.probability
     assert found.to_json()["terms"][0]["units"] == {"size": "N m", "period": "rad", "phase": "rad"}
 
 

@@ -274,7 +274,7 @@ class Drive:
         full: N m or N that it gives at most at rest, by its values; None where it is not known.
         free: parameters that a calibration fits by default, `joint.armature` being the shaft's; empty for
             all.
-        told_by_effort: free as well where no effort of the axis is compared, which would determine them.
+        identified_by_effort: also free if no effort of the axis is compared; an effort would determine them.
         uncertain: those that data sheets give roughly, if at all; a diagnosis refits them along with the free ones.
         loose: free ones of which what is stated gives the order of magnitude; a diagnosis holds them loosely.
     """
@@ -294,13 +294,13 @@ class Drive:
     lead: "Callable[[Values], Array] | None" = None
     controller: "Callable[[Values, float], Controller | None] | None" = None
     free: tuple[str, ...] = ()
-    told_by_effort: tuple[str, ...] = ()
+    identified_by_effort: tuple[str, ...] = ()
     uncertain: tuple[str, ...] = ()
     loose: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         known = [p.name for p in self.parameters]
-        fitted = (*self.free, *self.told_by_effort, *self.uncertain, *self.loose)
+        fitted = (*self.free, *self.identified_by_effort, *self.uncertain, *self.loose)
         wrong = [unknown_name("parameter", name, known) for name in fitted if name not in (*known, "joint.armature")]
         if wrong:
             raise InputError([f"Drive {self.name}, free: {text}" for text in wrong])

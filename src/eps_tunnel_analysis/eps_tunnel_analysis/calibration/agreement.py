@@ -14,7 +14,7 @@ from eps_tunnel_analysis.outputs import shown_value
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.trials import Array
 
-WRONGLY = 0.05  # share of fits of recordings that do agree of which one is said to differ
+WRONGLY = 0.05  # share of fits to consistent recordings in which one is wrongly reported to differ
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Differing:
         name, unit: the full parameter name and its unit.
         value: by all recordings together.
         alone: by this one, in the same unit, and
-        half_width: of its interval, as wide as so many recordings and values ask for.
+        half_width: of its interval, widened for the number of recordings and values.
     """
 
     bag: str
@@ -42,7 +42,7 @@ class Differing:
         alone, half, value = (shown_value(v, self.unit) for v in (self.alone, self.half_width, self.value))
         return (
             f"Recordings disagree: {self.bag} by itself puts {self.name} at {alone} ± {half}, all together at {value}. "
-            "The rig was not the same, or not in the same state; fit them apart, or ask `eps-tunnel changes`."
+            "The rig was not the same, or not in the same state; fit them separately, or run `eps-tunnel changes`."
         )
 
 
@@ -50,14 +50,14 @@ def differing(
     objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array, slopes: Array,
     missing: Array,
 ) -> tuple[Differing, ...]:  # fmt: skip
-    """The values that a recording by itself puts beyond its interval; none of a single recording.
+    """The values that a recording by itself puts beyond its interval; none for a single recording.
 
     Args:
         plays: that were fitted.
         z: (k,) the fit, normalised; values at their bounds stay there.
         residuals, slopes: (R,) and (R, k) there, in the fitness's scaling.
-        missing: (k,) by how much a missing effect may have shifted values; counts of recordings of some commands only,
-            for each command is shifted in its own way.
+        missing: (k,) by how much a missing effect may have shifted values; counts for recordings of only some
+            commands, because each command is shifted in its own way.
     """
     bags = list(dict.fromkeys(bag for play in plays for bag in _bags(play)))
     free = np.flatnonzero((z > 0.0) & (z < 1.0))
@@ -67,7 +67,7 @@ def differing(
     simulated = objective(values[None])[0] + objective.mean
     starts = list(start_changes(objective, plays, problem, z, residuals))
     quantile = norm.ppf(1.0 - 0.5 * WRONGLY / (len(bags) * len(free)))
-    found = []
+    differences = []
     for bag in bags:
         mean, share = _mean_of(objective, plays, bag)
         seen = np.isfinite(mean)
@@ -87,13 +87,13 @@ def differing(
         half = quantile * deviation
         for i in np.flatnonzero(np.abs(step) > half):
             at = free[i]
-            found.append(Differing(bag, problem.names[at], problem.units[at], float(values[at]),
+            differences.append(Differing(bag, problem.names[at], problem.units[at], float(values[at]),
                                    float(values[at] + step[i] * span[i]), float(half[i] * span[i])))  # fmt: skip
-    return tuple(found)
+    return tuple(differences)
 
 
 def _bags(play: Play) -> list[str]:
-    """The recording of each trial; none where that is unknown."""
+    """The recording of each trial; empty if that is unknown."""
     bags = [trial.bag for trial in play.stamped]
     return bags if len(bags) == play.trials.count and all(bags) else []
 

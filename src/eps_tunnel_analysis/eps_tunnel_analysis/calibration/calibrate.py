@@ -44,10 +44,10 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 INTERVAL_STEP = 1e-4  # of the finite differences for the intervals, normalised
-NEGLIGIBLE_STEP = 1e-4  # normalised; a promise this close by is no promise
+NEGLIGIBLE_STEP = 1e-4  # normalised; a smaller promised step does not count
 PROMISED_GAIN = 0.05  # of the squared residuals; less counts as converged
 FITNESS = ("error", "srg")
-WORSE = 1.02  # times the error before; a recording beyond it is told
+WORSE = 1.02  # times the error before; a recording beyond it is reported
 WORSE_LISTED = 3  # recordings that got worse
 
 
@@ -185,8 +185,8 @@ _Judged = tuple[tuple[Score, ...], Array]
 def judge_rig(
     model: Model, plays: Sequence[Play], signals: Iterable[str] | None = None, ks: Sequence[float] = KS
 ) -> dict[str, dict[float, float]]:
-    """What the rig reaches against itself, beside the alikeness of `judge`: signal -> factor k -> share of all seen
-    samples of the plays with enough trials; empty where no play has them.
+    """What the rig reaches against itself, to compare with `judge`: signal -> factor k -> share alike of all seen
+    samples of the plays with enough trials; empty if no play has these.
 
     Raises:
         InputError: unknown signals.
@@ -195,12 +195,12 @@ def judge_rig(
     alike, seen = np.zeros((len(ks), len(names))), np.zeros(len(names))
     for play in plays:
         real = play.trials.select(names)
-        found = rig_against_itself(real, ks)
-        if not found:
+        itself = rig_against_itself(real, ks)
+        if not itself:
             continue
         samples = (~np.isnan(real.values)).any(axis=0).sum(axis=0)  # (m,)
         seen += samples
-        alike += samples * np.nan_to_num([[at.shares[name] for name in names] for at in found])
+        alike += samples * np.nan_to_num([[at.shares[name] for name in names] for at in itself])
     shares = alike / np.maximum(seen, 1)
     return {name: dict(zip(ks, shares[:, i].tolist(), strict=True)) for i, name in enumerate(names) if seen[i]}
 
@@ -236,7 +236,7 @@ class Settings:
         held_out: numbers of the plays that are not fitted but judged afterwards.
         timestep: MuJoCo's step, s; None for the rig's own.
         nthread: 0 for one per CPU; the answer does not depend on it.
-        journal: checkpoint file; a run that broke off goes on from it.
+        journal: checkpoint file; an interrupted run continues from it.
         budget: evaluations after which to stop, at the end of a batch; None leaves it to the method.
         about: data and versions, kept with the result.
         spread: wraps the residual function, to send the same evaluations elsewhere.
@@ -307,14 +307,14 @@ def calibrate(
             interrupted = True
         try:
             residuals, slopes = _around(evaluations)
-            found = intervals(slopes, residuals, problem.blocks)
+            interval = intervals(slopes, residuals, problem.blocks)
             at = objective, fitted, problem, evaluations.best, residuals, slopes
             lacking = discrepancy(*at)
-            found = widened(found, np.hypot(lacking.deviation, start_pose_deviation(*at)))
+            interval = widened(interval, np.hypot(lacking.deviation, start_pose_deviation(*at)))
             apart = differing(*at, lacking.deviation)
-        except KeyboardInterrupt:  # again: whoever waits wants the values, not how sure they are
+        except KeyboardInterrupt:  # again: the user wants the values now, without intervals
             interrupted = True
-            residuals, slopes, found = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
+            residuals, slopes, interval = np.zeros(0), np.empty((0, problem.size)), unknown_intervals(problem.size)
             lacking, apart = Discrepancy(np.empty((0, problem.size))), ()
     finally:
         if journal:
@@ -328,7 +328,7 @@ def calibrate(
         judge = _fitness(unseen, settings)
         after_held = [float(f) for f in judge(unseen(np.stack([problem.start, values])))]
     span = problem.high - problem.low
-    half = found.half_width * span
+    half = interval.half_width * span
     return Fit(
         method=method.name,
         fitness=settings.fitness,
@@ -353,8 +353,8 @@ def calibrate(
         seconds=time.monotonic() - started,
         history=tuple(evaluations.history),
         warnings=(
-            *_warnings(problem, at_bound, found, gain, interrupted),
-            *_doubts(found, lacking, values, span, problem),
+            *_warnings(problem, at_bound, interval, gain, interrupted),
+            *_doubts(interval, lacking, values, span, problem),
             *(one.sentence for one in apart),
         ),
         about=settings.about,
@@ -385,7 +385,7 @@ def _fitness(objective: Objective, settings: Settings) -> Fitness:
 
 def _around(evaluations: Evaluations) -> tuple[Array, Array]:
     """Residuals (R,) and their slopes (R, k) at the best, in the fitness's scaling."""
-    # Not in the checkpoint either: a run that goes on after an interruption asks other questions next.
+    # Not in the checkpoint either: a run that continues after an interruption makes other evaluations next.
     evaluations.limit, evaluations.progress, evaluations.journal = None, None, None
     z = evaluations.best
     points, steps = moved(z, INTERVAL_STEP)
@@ -406,39 +406,41 @@ def promised_gain(slopes: Array, residuals: Array) -> float:
 
 
 def _warnings(
-    problem: Problem, at_bound: NDArray[np.bool_], found: Intervals, gain: float, interrupted: bool
+    problem: Problem, at_bound: NDArray[np.bool_], interval: Intervals, gain: float, interrupted: bool
 ) -> tuple[str, ...]:
-    told = []
+    warnings = []
     if interrupted:
-        told.append("The fit was interrupted; the values are the best until then.")
+        warnings.append("The fit was interrupted; the values are the best until then.")
     elif gain >= PROMISED_GAIN:
-        told.append(
+        warnings.append(
             f"The fit has not converged: the slope promises another {100 * gain:.0f} % of the squared error. "
             "Give it more evaluations or another seed."
         )
     for name, bound in zip(problem.names, at_bound, strict=True):
         if bound:
-            told.append(f"{name} lies at its bound: the truth may lie beyond, or it stands in for a missing effect.")
-    for direction in found.loose:
-        told.append(
+            warnings.append(
+                f"{name} lies at its bound: the truth may lie beyond, or it stands in for a missing effect."
+            )
+    for direction in interval.loose:
+        warnings.append(
             f"Not identifiable from these commands: {combination(direction, problem.names)} (in shares of the bounds) "
             "can change without the data objecting. Fix one of them, or record commands that excite it."
         )
-    return tuple(told)
+    return tuple(warnings)
 
 
-def _doubts(found: Intervals, lacking: Discrepancy, values: Array, span: Array, problem: Problem) -> list[str]:
+def _doubts(interval: Intervals, lacking: Discrepancy, values: Array, span: Array, problem: Problem) -> list[str]:
     """What the intervals do not say by themselves."""
-    told = trade_offs(found, values, span, problem.names, lacking.shifts)
+    warnings = trade_offs(interval, values, span, problem.names, lacking.shifts)
     if lacking.likely:
-        told.append(
+        warnings.append(
             "The model leaves more than noise, so the intervals allow for what a missing effect would have shifted (of "
             f"those tried, {lacking.likely} explains most to first order). `diagnose` names it."
         )
-    return told
+    return warnings
 
 
-#: Told before each fit of its part and its likely number of evaluations; gives what is called as the fit goes on.
+#: Called before each fit with its part and its likely number of evaluations; gives what reports the fit's progress.
 Bars = Callable[[Part, int], FitProgress]
 
 
@@ -447,7 +449,7 @@ class PlayChange:
     """One recording before and after a fit.
 
     Attributes:
-        name: of the play; held_out: whether it was kept from the fit.
+        name: of the play; held_out: whether it was held out of the fit.
         before, after: E_C, mean over the signals of the first one's unit, in `unit`.
     """
 
@@ -467,12 +469,12 @@ class PlayChange:
 @dataclass(frozen=True)
 class CalibrationResult:
     """Attributes:
-    model: with the fitted values, their source not told yet; see `signed`.
+    model: with the fitted values, their source not recorded yet; see `signed`.
     parts, fits: what was fitted, and how it went; one unless fitted axis by axis, fewer after an interruption.
     before, after: scores on the fitted plays, signal by signal.
     held_out_before, held_out_after: on those held out; empty where none were.
-    itself, held_out_itself: what the rig reaches against itself on the same plays, as of `judge_rig`.
-    plays: each recording, the one that fared worst first.
+    itself, held_out_itself: what the rig reaches against itself on the same plays, from `judge_rig`.
+    plays: each recording, worst change first.
     """
 
     model: Model
@@ -514,15 +516,17 @@ def _changes(plays: Sequence[Play], held_out: bool, before: _Judged, after: _Jud
 
 
 def _worse(plays: Sequence[PlayChange]) -> list[str]:
-    """What a mean over the recordings hides: those that a fit made worse."""
+    """Recordings that a fit made worse, which a mean over all recordings hides."""
     worse = [play for play in plays if play.change > WORSE]
-    told = [
+    listed = [
         f"{p.name} ({'held out' if p.held_out else 'fitted'}), {shown_value(p.before, p.unit)} before, "
         f"{shown_value(p.after, p.unit)} after"
         for p in worse[:WORSE_LISTED]
     ]
     more = f"; {len(worse) - WORSE_LISTED} more" if len(worse) > WORSE_LISTED else ""
-    return [f"Worse than before on {len(worse)} of {len(plays)} recordings: {'; '.join(told)}{more}."] if worse else []
+    return (
+        [f"Worse than before on {len(worse)} of {len(plays)} recordings: {'; '.join(listed)}{more}."] if worse else []
+    )
 
 
 def calibrate_model(
@@ -559,9 +563,9 @@ def calibrate_model(
         journal = settings.journal
         if journal is not None and part.axis:
             journal = journal.with_name(f"{journal.name}.{part.axis}")
-        mine = replace(settings, signals=part.signals, held_out=held, journal=journal)
+        own = replace(settings, signals=part.signals, held_out=held, journal=journal)
         bar = bars(part, settings.budget or settings.optimiser().budget) if bars else None
-        fit = calibrate(fitted, part.free, [plays[i] for i in part.plays], mine, bar)
+        fit = calibrate(fitted, part.free, [plays[i] for i in part.plays], own, bar)
         fits.append(fit)
         fitted = fitted.with_values(fit.values, "fitted")
         if fit.interrupted:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fit to what was recorded, and its two files: the model, and the whole result beside it."""
+"""A fit to recordings, and its two files: the model, and the full result next to it."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -21,7 +21,7 @@ from labyrinth_sim.whole_file import beside, folder_of, write_new
 @shown
 @dataclass(frozen=True)
 class Calibration:
-    """A fit, what is to be said of it, the content of its .fit.json, and the model with where its values come from."""
+    """A fit, its messages, the content of its .fit.json, and the model with the sources of its values."""
 
     result: CalibrationResult
     notes: tuple[str, ...]
@@ -45,7 +45,7 @@ def model_and_result(out: Path) -> tuple[Path, Path]:
 
 
 class _Tried(Exception):
-    """A file was made where the model will be, and is taken away again."""
+    """A file was made where the model will be, and is removed again."""
 
 
 def calibrate_bags(
@@ -64,7 +64,7 @@ def calibrate_bags(
 
 def free_of(recorded: Recorded, patterns: Sequence[str] = (), signals: Sequence[str] = ()) -> tuple[str, ...]:
     """Full names of the values to fit: those that match `patterns`; without any, what the model's drives and effects
-    declare as free and nobody knows of the recordings.
+    declare as free and is not given as known for the recordings.
 
     Args:
         signals: that are compared.
@@ -101,14 +101,14 @@ def write_calibration(calibration: Calibration, files: tuple[Path, Path]) -> Cal
     """Writes both files of `model_and_result`; the content then names them. Raises InputError: either exists."""
     out, beside_it = files
     content = {"command": "calibrate", "out": str(out), **calibration.content}
-    # The result first: it holds the values too, should the other file not come to be.
+    # The result first: it holds the values too, in case the other file cannot be written.
     write_new(beside_it, json_text(content))
     save_model(calibration.model, out)
     return replace(calibration, content=content)
 
 
 def source_of(settings: Settings, recorded: Recorded, result: CalibrationResult) -> str:
-    """Where a fitted value comes from, as the model's file says beside it."""
+    """The source of a fitted value, as stated next to it in the model's file."""
     held = _held_out_error(result)
     return (
         f"calibrate: {settings.optimiser().name} on {settings.fitness}, seed {settings.seed}, {len(recorded.bags)} "
@@ -119,7 +119,7 @@ def source_of(settings: Settings, recorded: Recorded, result: CalibrationResult)
 
 
 def provenance_of(settings: Settings, recorded: Recorded, result: CalibrationResult) -> dict[str, Any]:
-    """How the model's file came about."""
+    """How the model's file was made."""
     held = _held_out_error(result)
     return {
         "made_by": "eps-tunnel calibrate",

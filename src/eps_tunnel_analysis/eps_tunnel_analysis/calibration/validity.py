@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The validity region of a model that was judged by recordings, for its file."""
+"""The validity region of a model that was compared with recordings, for its file."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.validity import Validity
 from labyrinth_sim.yaml_file import read_yaml
 
-FIRST_YEAR = 2000  # of the calendar; clocks that show less count from when something was switched on
+FIRST_YEAR = 2000  # of the calendar; clocks that show less count from when a device was switched on
 
 
 def validity_of(
@@ -24,33 +24,33 @@ def validity_of(
     """Where a model was shown to hold.
 
     Args:
-        plays, held: what was fitted, and what was not; the errors are those of the latter where there are any.
+        plays, held: what was fitted, and what was not; the errors are those of the latter if there are any.
         bags: path and SHA-256 of each recording.
 
     Returns:
-        None where the simulation diverges on one of them.
+        None if the simulation diverges on one of them.
     """
     every = [*plays, *held]
     try:
-        found = ranges([play.trials for play in every], [roll_out(model, play) for play in every])
+        spans = ranges([play.trials for play in every], [roll_out(model, play) for play in every])
     except Diverged:
         return None
     for score in judge(model, held or plays):
-        if score.signal in found:
-            found[score.signal] = replace(found[score.signal], error=score.error)
-    return Validity(found, tuple(p.name for p in held), tuple(_recorded(path, digest) for path, digest in bags))
+        if score.signal in spans:
+            spans[score.signal] = replace(spans[score.signal], error=score.error)
+    return Validity(spans, tuple(p.name for p in held), tuple(_recorded(path, digest) for path, digest in bags))
 
 
 def _recorded(bag: Path, digest: str) -> str:
-    """A recording as the section names it: its path, the start of its SHA-256, and when it began, where that is
+    """A recording as the section names it: its path, the start of its SHA-256, and when it began, if that is
     known.
     """
     return " ".join([f"{bag} {digest[:12]}", *([begun] if (begun := begun_at(bag)) else [])])
 
 
 def begun_at(bag: Path) -> str | None:
-    """When a recording began, as "2026-05-02 14:03 UTC": by its metadata, else by its first message; None where neither
-    tells a date.
+    """When a recording began, as "2026-05-02 14:03 UTC": by its metadata, else by its first message; None if neither
+    has a date.
     """
     try:
         stamp = _first_stamp(bag)
@@ -64,7 +64,7 @@ def _first_stamp(bag: Path) -> int:
     """ns since 1970."""
     file = bag / "metadata.yaml"
     if file.is_file():
-        told = read_yaml(file).value(("rosbag2_bagfile_information", "starting_time", "nanoseconds_since_epoch"))
-        if isinstance(told, int):
-            return told
+        stamp = read_yaml(file).value(("rosbag2_bagfile_information", "starting_time", "nanoseconds_since_epoch"))
+        if isinstance(stamp, int):
+            return stamp
     return min(topic.log_times[0] for topic in read_bag(bag).topics.values() if topic.log_times)

@@ -33,13 +33,13 @@ class Addition:
     """A model with effects added.
 
     Attributes:
-        effects: names, as `backlash.x`; empty where the values were only refitted.
+        effects: names, such as `backlash.x`; empty if only the values were refitted.
         model: with the effects, everything fitted.
-        given, before, after: errors of the model as given, with its values refitted, and with the effects; of the ball,
-            in m, where all of them act on it.
+        given, before, after: errors of the model as given, with its values refitted, and with the effects; the ball's,
+            in m, if all of them act on it.
         plays: the error of each recording for the same three models, rad.
         values: what was fitted.
-        intervals: 95 % of them, as `named_intervals` gives them.
+        intervals: their 95 % intervals, from `named_intervals`.
         doubts: values at their bounds and fits that have not converged, one sentence each.
         unit: of the errors.
         itself: alikeness, joint at k = 1, that the rig reaches against itself; NaN where unknown.
@@ -64,14 +64,14 @@ class Addition:
 
     @property
     def sentences(self) -> list[str]:
-        """What it did to the error, in the rig's unit or the ball's, and what is doubtful about it."""
+        """How the error changed, in the rig's unit or the ball's, and what is doubtful about the result."""
         ball = self.unit != self.model.rig.position_unit
         falls = fall_sentences(self.errors, self.plays, self.unit, self.itself, ball) if self.effects else []
         return [*falls, *self.doubts]
 
     @property
     def recordings(self) -> list[RecordingErrors]:
-        """One entry a recording, in the rig's unit, the one that fared worst first."""
+        """One entry per recording, in the rig's unit, worst change first."""
         return by_recording(self.plays, self.model.rig.position_unit)
 
     def to_json(self) -> dict[str, Any]:
@@ -98,10 +98,10 @@ def add_effects(
     progress: RolloutProgress | None = None,
     held: Sequence[Play] = (),
 ) -> Addition:
-    """Adds effects by name (`backlash.x`), fitted as a diagnosis fits them that considers nothing else.
+    """Adds effects by name (`backlash.x`), fitted as in a diagnosis that considers nothing else.
 
     Args:
-        progress: called with what is being done and how many roll-outs were made.
+        progress: called with the current step and the number of roll-outs so far.
         held: plays that are never fitted, for the held-out error.
 
     Raises:
@@ -123,7 +123,7 @@ def add_effects(
 def addition_of(
     diagnosis: Diagnosis, names: Collection[str], plays: Sequence[Play], held: Sequence[Play] = ()
 ) -> Addition:
-    """Effects added that a diagnosis of these plays considered: its own refits, so that both say the same.
+    """Adds effects that a diagnosis of these plays considered, with its own refits, so that both agree.
 
     Args:
         names: of effects; none for the values alone.
@@ -134,7 +134,7 @@ def addition_of(
     considered = [c.name for axis in diagnosis.axes for c in axis.search.library.candidates]
     missing = [n for n in names if n not in considered]
     if missing:
-        raise InputError([f"{n}: nothing was measured there that a recorded command moves." for n in missing])
+        raise InputError([f"{n}: no recorded command moves anything that was measured there." for n in missing])
     v, chosen = diagnosis.verdict, set(names)
     axes = [_with_set(axis, chosen) for axis in diagnosis.axes]
     on_axes = [axis for axis in axes if axis.part.axes != (BALL,)]
@@ -158,7 +158,7 @@ def addition_of(
 
 
 def _with_set(axis: AxisDiagnosis, names: Collection[str]) -> AxisDiagnosis:
-    """The axis with a refit of these effects, and what it predicts of stretches of time that were left out."""
+    """The axis with a refit of these effects, and its predictions for stretches of time that were left out."""
     own = axis.own(names)
     refit = axis.acting(names)
     if set(refit.effects) != {c.name for c in own}:
@@ -170,7 +170,7 @@ def _with_set(axis: AxisDiagnosis, names: Collection[str]) -> AxisDiagnosis:
 
 
 def _fitted(axis: AxisDiagnosis, candidates: Sequence[Candidate]) -> Refit:
-    """A set that the search did not try: one effect after the other on top of the best of those that it did."""
+    """Fits a set that the search did not try: one effect after the other, on top of the best subset that it tried."""
     search, names = axis.search, {c.name for c in candidates}
     best = min((r for r in (axis.base, *axis.refits) if set(r.effects) <= names), key=lambda r: r.cost)
     before = best
@@ -186,7 +186,7 @@ def _fitted(axis: AxisDiagnosis, candidates: Sequence[Candidate]) -> Refit:
 
 
 def _doubts(axis: AxisDiagnosis, names: Collection[str], fitted: Mapping[str, float]) -> list[str]:
-    """What is doubtful about the fitted values of these effects on one axis."""
+    """Doubts about the fitted values of these effects on one axis."""
     search, own = axis.search, axis.own(names)
     refit = axis.acting(names)
     columns = np.array(search.fitted(refit), dtype=int)
@@ -194,14 +194,14 @@ def _doubts(axis: AxisDiagnosis, names: Collection[str], fitted: Mapping[str, fl
     low, high = search.low[columns], search.high[columns]
     close = AT_BOUND * search.spans[columns]
     near = np.minimum(values - low, high - values) < close
-    # A drive's value that stays as stated is no finding; an effect's that stays switched off is one.
+    # A drive's value that stays as stated is not worth a message; an effect's that stays switched off is.
     kept = np.abs(values - search.start[columns]) < close
     near &= ~kept | (columns >= len(search.library.base))
-    said = [
+    sentences = [
         f"{search.library.names[i]} lies at its bound, {value:.4g}: the truth may lie beyond, or it stands "
         "in for something else."
         for i, value in zip(columns[near], values[near], strict=True)
     ]
     if own and not refit.converged:
-        said.append(f"The fit of {' + '.join(refit.effects)} has not converged: other values may fit better.")
-    return said
+        sentences.append(f"The fit of {' + '.join(refit.effects)} has not converged: other values may fit better.")
+    return sentences

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All axes together: the result, its probabilities, the models that have what is missing, and what is said of each."""
+"""All axes together: the result, its probabilities, the models with what is missing, and the verdict on each."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ class Diagnosis:
 
     Attributes:
         base_model: the given model with its values refitted.
-        model: the same with the named effects, fitted; the base model where none is named.
-        experiment: what to play next where two hypotheses are left, else None.
+        model: the same with the named effects, fitted; the base model if none is named.
+        experiment: what to play next if two hypotheses are left, else None.
     """
 
     verdict: Verdict
@@ -39,7 +39,7 @@ class Diagnosis:
 def together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
     """Probabilities of what is missing on all axes.
 
-    Where one axis lacks an effect, uneven timing alone makes no unknown of the others; a sentence tells it.
+    If one axis lacks an effect, uneven timing alone does not make the others unknown; a sentence reports it.
     """
     likely = [max(p, key=lambda name: p[name]) for p in (a.ranking.probabilities for a in axes)]
     named = any(name not in (NONE, UNKNOWN) for name in likely)
@@ -47,7 +47,7 @@ def together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
 
 
 def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[str], final: bool = False) -> Model:
-    """A model with these effects where they act, and with each axis's values fitted together with its own.
+    """A model with these effects where they act, and with each axis's values fitted together with its effects.
 
     Args:
         final: look for values in other valleys of the misfit as well.
@@ -80,7 +80,7 @@ def left_out_error(axes: Sequence[AxisDiagnosis], named: Collection[str]) -> flo
 
 
 def axis_verdict(axis: AxisDiagnosis, name: str, named: Collection[str]) -> AxisVerdict:
-    """What is said of one axis by itself, with these effects named.
+    """The verdict on one axis by itself, with these effects named.
 
     Args:
         name: of the axis, one of those that were judged together.

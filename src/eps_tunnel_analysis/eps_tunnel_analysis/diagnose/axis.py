@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one axis lacks: single effects, several effects, and what contains them."""
+"""What one axis lacks: single effects, sets of effects, and sets that contain them."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,22 +29,22 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
-STATED_SHORTLIST = 10  # effects fitted beside a base as stated, and
+STATED_SHORTLIST = 10  # effects fitted on top of a base as stated, and
 STATED_KEPT = 3  # how many of them go on with all values free
-REBASED = 1  # refits whose base values are sought anew, each from
-REBASE_STARTS = 2  # starts, its own among them
-NEAR_BEST = 2.0  # times the best's cost; such refits start again from its base values
+REBASED = 1  # refits whose base values are searched again, each from
+REBASE_STARTS = 2  # starts, its own included
+NEAR_BEST = 2.0  # times the best refit's cost; refits within that start again from its base values
 POINTS_EACH = 2  # refits on top of which a set starts, and
 STARTS_EACH = 3  # places in each where an effect of several values starts
 ROUNDS = 6
 PAIR_SHORTLIST = 4
 MOST_EFFECTS = 3  # on one axis
 RIVALS = 4  # of an effect that are refitted in its place
-RUNNERS_UP = 2  # on which one more effect is tried too, as on the best; no further away than
+RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
-CLOSE = 0.75  # times what counts as healthy; below nothing more is sought
-WORTHWHILE = 0.2  # of what is left beyond the noise, that an effect must explain for one more to be sought
-TAKEN_APART = 3  # sets, the best of several effects, of which each is tried without one of them
+CLOSE = 0.75  # times what counts as healthy; below that no further effect is tried
+WORTHWHILE = 0.2  # share of the misfit beyond noise that an effect must explain before another one is tried
+TAKEN_APART = 3  # best sets of several effects, each of which is also tried without each of its effects
 MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
 
 
@@ -57,7 +57,7 @@ def next_refits(
     """Every candidate refitted on top of refits: trial points, then descents of the most promising; best first.
 
     Args:
-        on: the best first; where several effects act, one of them alone may not be what explains most.
+        on: best first; if several effects act, one of them alone may not explain most.
         more: descended in any case.
     """
     search.settle_at(on[0])
@@ -69,28 +69,28 @@ def next_refits(
 
 
 def stated_jobs(search: Search, base: Refit) -> list[Job]:
-    """Effects that explain most with the base values as the model states them, where the base strays from that.
+    """Effects that explain most with the base values as the model states them, if the base deviates from these.
 
-    A base that was bent to take up what is missing hides which effect it is: beside it none explains more.
+    A base whose values have absorbed a missing effect hides which one it is: on top of it no effect explains more.
     """
     if search.strain(base.values) < STRAINED:
         return []
     firm = search.as_stated()
     start = np.where(search.firmness > 0.0, search.start, base.values)
     (stated,) = firm.refit([((), start)], ROUNDS)
-    few = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
-    tried = firm.trial_points([stated], few)
-    found = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
+    quick = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
+    tried = firm.trial_points([stated], quick)
+    refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
     search.evaluations = firm.evaluations
-    return [(tuple(search.library.find(n) for n in r.effects), r.values) for r in found[:STATED_KEPT]]
+    return [(tuple(search.library.find(n) for n in r.effects), r.values) for r in refits[:STATED_KEPT]]
 
 
 def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], shortlist: float) -> list[Job]:
     """The best trial points of each of the `shortlist` most promising sets, to be fitted on top of `points`.
 
-    A set starts from every point that leads to it, for the base that fits best without an effect may lie in a valley
-    where the effect does not help. An effect of several values starts from several of its own, for the ones that
-    promise most may lie in a wrong valley, too.
+    A set starts from every point that leads to it, because the base that fits best without an effect may lie in a
+    valley where the effect does not help. An effect with several values starts from several of its own points, because
+    the most promising ones may lie in a wrong valley, too.
     """
     chosen: dict[frozenset[str], list[TrialPoint]] = {}
     for point in tried:
@@ -108,10 +108,10 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
 
 
 def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
-    """The refits, the best of them descended again from other base values: those at hand may lie in a wrong valley.
+    """The refits, the best of them descended again from other base values: their own may lie in a wrong valley.
 
-    What comes near the best is likely to be mistaken for it, so it starts again from the best's base values: whatever
-    is missing, the drive is the same.
+    A refit close to the best may be confused with it, so it starts again from the best one's base values: whatever is
+    missing, the drive is the same.
     """
     size = len(search.library.base)
     jobs: list[Job] = []
@@ -126,10 +126,10 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
 
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
-    """The best with each of its effects replaced by another: by those that it is mistaken for, and by those of other
-    sets that were tried. The base values of the best stay, for whatever is missing, the drive is the same.
+    """The best with each of its effects replaced by another: by its declared rivals, and by effects of other sets that
+    were tried. The base values of the best are kept, because the drive is the same whatever is missing.
 
-    A set that was tried goes on only where this promises less than it left.
+    A set that was tried before is fitted again only if this promises a lower cost than it reached.
     """
     known = {frozenset(r.effects): r.cost for r in tried}
     jobs: list[Job] = []
@@ -153,12 +153,12 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
 
 
 def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The base and the refits; one that fits worse than a set it contains is started again from there, and the sets
-    within the best ones, the base among them, from theirs.
+    """The base and the refits. A refit that fits worse than a set it contains starts again from that set; sets
+    contained in the best ones, the base among them, start again from the values of these.
 
-    A set that contains another, or an effect that contains another one, can always be set to do the same, so it cannot
-    fit worse. What still does has not converged. And an effect more may have helped only because the drive's values
-    left a wrong valley along with it: without it they are tried, too.
+    A set that contains another, or an effect that contains another one, can always imitate it, so it cannot fit worse;
+    if it still does, it has not converged. And one more effect may have helped only because the drive's values left a
+    wrong valley along with it, so these values are also tried without it.
     """
     jobs = _without_one(search, refits)
     for refit in refits:
@@ -168,39 +168,39 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
             start = _contained(search, refit, smaller)
             if start is not None:
                 jobs.append((tuple(search.library.find(n) for n in refit.effects), start))
-    found = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
+    by_set = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
 
     def misfits(refit: Refit) -> bool:
-        return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in found)
+        return any(refit.cost > MISFITTED * s.cost and _contained(search, refit, s) is not None for s in by_set)
 
-    bare = next(r for r in found if not r.effects)
-    return bare, [replace(refit, converged=not misfits(refit)) for refit in found if refit.effects]
+    bare = next(r for r in by_set if not r.effects)
+    return bare, [replace(refit, converged=not misfits(refit)) for refit in by_set if refit.effects]
 
 
 def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
-    """The best sets of several effects, and the best single ones, without one of them, at the values of the whole."""
+    """The best sets of effects, single ones included, each without one effect, at the values of the full set."""
     jobs: list[Job] = []
     ordered = sorted(refits, key=lambda r: r.cost)
     several, single = ([r for r in ordered if (len(r.effects) > 1) == many] for many in (True, False))
     for refit in (*several[:TAKEN_APART], *single[:TAKEN_APART]):
         for name in refit.effects:
-            left = tuple(search.library.find(n) for n in refit.effects if n != name)
+            kept = tuple(search.library.find(n) for n in refit.effects if n != name)
             values, columns = refit.values.copy(), search.columns(search.library.find(name))
             values[columns] = search.start[columns]
-            if not left or {c.name for c in left} not in [{c.name for c in other} for other, _ in jobs]:
-                jobs.append((left, np.clip(values, search.low, search.high)))
+            if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
+                jobs.append((kept, np.clip(values, search.low, search.high)))
     return jobs
 
 
 def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
-    """(K,) values at which the larger set does what the smaller one does, as far as its bounds let it; None where it
+    """(K,) values at which the larger set does what the smaller one does, as far as its bounds allow; None if it
     cannot.
     """
     values = smaller.values.copy()
-    left = [name for name in larger.effects if name not in smaller.effects]
+    added = [name for name in larger.effects if name not in smaller.effects]
     for name in (n for n in smaller.effects if n not in larger.effects):
         own = search.library.find(name)
-        wider = [c for c in map(search.library.find, left)
+        wider = [c for c in map(search.library.find, added)
                  if c.place == own.place and own.effect.name in [name for _, name, _ in c.effect.contains]]  # fmt: skip
         if not wider:
             return None
@@ -210,10 +210,10 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
                 number = its if isinstance(its, float) else smaller.values[search.columns(own)[_place(own, its)]]
                 values[search.columns(general)[_place(general, parameter)]] = number
         values[search.columns(own)] = search.start[search.columns(own)]
-        left.remove(general.name)
+        added.remove(general.name)
     if set(smaller.effects) == set(larger.effects):
         return None
-    for name in left:  # what is new begins weak, for at its off values it has no slope
+    for name in added:  # new effects begin weak, because at their off values they have no slope
         candidate = search.library.find(name)
         for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
             if p.off is not None:
@@ -231,14 +231,14 @@ def _place(candidate: Candidate, parameter: str) -> int:
 @shown
 @dataclass(frozen=True)
 class AxisDiagnosis:
-    """What was found on an axis, or on several that shake one another: refits, their ranking, what is left.
+    """The result for an axis, or for several coupled axes: refits, their ranking, what is left.
 
     Attributes:
         base: the base values alone.
         hypotheses: what was ranked, the base first.
-        odd: signals whose trials differ as no effect of the library makes them.
-        even: the ranking if uneven timing of the trials is not held against completeness.
-        parts: axis -> the ranking if it is asked of its own signals alone whether anything is left; empty for one axis.
+        odd: signals whose trials differ in a way that no effect of the library explains.
+        even: the ranking if uneven timing of the trials does not count against completeness.
+        parts: axis -> the ranking if its own signals alone decide whether anything is left; empty for one axis.
     """
 
     part: AxisPart
@@ -253,19 +253,19 @@ class AxisDiagnosis:
 
     @property
     def best(self) -> Refit:
-        """The most probable refit, whether or not it explains all; the base where that is more probable."""
+        """The most probable refit, whether or not it explains everything; the base if that is more probable."""
         return self.of(self.ranking.ranked[0].effects) if self.ranking.ranked else self.base
 
     def of(self, effects: Sequence[str]) -> Refit:
-        """The refit of a set of effects; the base where it was not refitted."""
+        """The refit of a set of effects; the base if the set was not refitted."""
         return next((r for r in self.refits if set(r.effects) == set(effects)), self.base)
 
     def own(self, names: Collection[str]) -> list[Candidate]:
-        """Those of these effects that act on this axis."""
+        """The given effects that act on this axis."""
         return [c for c in self.search.library.candidates if c.name in names]
 
     def acting(self, names: Collection[str]) -> Refit:
-        """The refit of those of these effects that act on this axis."""
+        """The refit of the given effects that act on this axis."""
         return self.of([c.name for c in self.own(names)])
 
     def held_out_error(self, effects: Sequence[str]) -> float:
@@ -284,20 +284,20 @@ class AxisDiagnosis:
         return self.part.signals if self.part.axes == (name,) else tuple(s for s in self.part.signals if s in own)
 
     def floors(self, refit: Refit, name: str) -> float:
-        """Floors that a refit leaves of one of the axes."""
+        """Floors that a refit leaves on one of the axes."""
         return float(np.mean(refit.residuals[self.samples_of(name)] ** 2))
 
     def worst(self, name: str) -> float:
-        """Floors that the base leaves of the worst signal of one of the axes."""
+        """Floors that the base leaves on the worst signal of one of the axes."""
         own = self.samples_of(name)
         return worst_floors(self.base.residuals[own], self.search.signal[own])
 
     def samples_of(self, name: str) -> NDArray[np.bool_]:
-        """(R,) which of the compared samples are of one of the axes."""
+        """(R,) which of the compared samples belong to one of the axes."""
         return np.isin(self.search.signal, [self.part.signals.index(s) for s in self.signals_of(name)])
 
     def remaining(self, refit: Refit) -> dict[str, float]:
-        """Signal -> floors that a refit leaves of it."""
+        """Signal -> floors that a refit leaves on it."""
         search = self.search
         return {
             name: float(np.mean(refit.residuals[search.signal == i] ** 2))
@@ -318,7 +318,7 @@ def diagnose_axis(
 
     Args:
         level: floors that the base left before effects were added in earlier steps.
-        bases: of all axes, where there are several.
+        bases: base values of all axes, if there are several.
     """
     bases = bases or Bases()
     search = axis_search(bases.among(model, part), plays, part, run)
@@ -332,22 +332,22 @@ def refitted_sets(
     search: Search, base: Refit, healthy: float = SETTINGS.healthy, level: float = 0.0, floor: bool = True,
     most: int = MOST_EFFECTS,
 ) -> tuple[Refit, list[Refit]]:  # fmt: skip
-    """What may explain that which the base leaves: single effects, then more on top of the best.
+    """Sets of effects that may explain what the base leaves: single effects, then further ones on top of the best.
 
     Args:
         healthy: floors of the worst signal that count as nothing missing.
         level: floors that the base left before effects were added in earlier steps.
-        floor: whether trials tell what the rig repeats; if not, more than one effect is tried where much is left.
+        floor: whether repeated trials show the noise floor; if not, more than one effect is tried if much is left.
         most: effects in a set.
 
     Returns:
-        The base, from a better start where the effects show one, and a refit of each set that was tried.
+        The base, from a better start if the effects showed one, and a refit of each set that was tried.
     """
     refits: list[Refit] = []
     allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
     if search.library.candidates and (not floor or worst_floors(base.residuals, search.signal) > CLOSE * allowed):
         refits = next_refits(search, [base], more=stated_jobs(search, base))
-        # An effect must not be named for a better start of the base.
+        # An effect must not be named only because it led to a better start of the base.
         base = better_base(search, base, [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]])
         refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
         base, refits = refined(search, base, refits)
@@ -369,9 +369,9 @@ def refitted_sets(
 
 
 def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The base and the refits; the best of them judged anew, by shorter steps, where the best one needs these.
+    """The base and the refits; the best of them judged again, with shorter steps, if the best one needs these.
 
-    How long steps may be is a matter of what is left: beside what is missing, the base needs no such care.
+    How long steps may be depends on what is left: while an effect is missing, the base needs no such accuracy.
     """
     best = lowest([base, *refits])
     if not (search.levels["fine"].extrapolate and search.refine_at(best.values)):
@@ -393,21 +393,21 @@ def _judged(
     differ = [(p, r) for p in plays for r in repeats(p.trials, _positions(model, part)) if r.sentence]
     drifts, uneven = any(r.drift for _, r in differ), any(r.jitter > p.timing for p, r in differ)
     tried = len(search.library.candidates)
-    # What the base leaves of all samples says whether anything is missing; left-out ones, what explains it.
+    # The base's residuals on all samples show whether anything is missing; those on left-out ones, what explains it.
     whole = replace(alone, left_out=base.residuals)
     ranked = partial(rank, whole, hypotheses, search.folds, search.blocks, tried, level=level,
                      drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
     even = ranked()
-    found = AxisDiagnosis(
+    diagnosis = AxisDiagnosis(
         part, search, base, tuple(refits), (alone, *hypotheses), _uneven(even) if uneven else even, even,
         tuple(r for _, r in differ),
     )  # fmt: skip
-    parts = {name: ranked(asked=found.samples_of(name)) for name in part.axes} if len(part.axes) > 1 else {}
-    return replace(found, parts={name: _uneven(r) if uneven else r for name, r in parts.items()})
+    parts = {name: ranked(asked=diagnosis.samples_of(name)) for name in part.axes} if len(part.axes) > 1 else {}
+    return replace(diagnosis, parts={name: _uneven(r) if uneven else r for name, r in parts.items()})
 
 
 def _uneven(ranking: Ranking) -> Ranking:
-    """Where trials differ by their timing nothing is complete, but an effect may still explain the rest."""
+    """If trials differ in timing no model is complete, but an effect may still explain the rest."""
     ranked = tuple(replace(r, probability=r.probability * (1.0 - SETTINGS.odd)) if not r.effects else r
                    for r in ranking.ranked)  # fmt: skip
     lost = sum(a.probability - b.probability for a, b in zip(ranking.ranked, ranked, strict=True))
@@ -417,16 +417,16 @@ def _uneven(ranking: Ranking) -> Ranking:
 def _enough(
     search: Search, base: Refit, refit: Refit, refits: Sequence[Refit], healthy: float, level: float, floor: bool
 ) -> float:
-    """Floors of the worst signal below which nothing more is sought on top of a refit.
+    """Floors of the worst signal below which no further effect is tried on top of a refit.
 
-    Where nothing tells what the rig repeats, only what lies far beyond the sensors' noise says that it is not all.
+    Without repeated trials, only a misfit far beyond the sensors' noise shows that more is missing.
     """
     inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
     return (CLOSE if floor else UNREPEATED) * (healthy + SETTINGS.form * max(inexact * base.cost, level))
 
 
 def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:
-    """Share of the base's misfit that a refit's effects of inexact form explain: alone, or beside the exact ones."""
+    """Share of the base's misfit that a refit's effects of inexact form explain: alone, or on top of the exact ones."""
     exact = frozenset(name for name in refit.effects if search.library.find(name).effect.exact)
     if not exact:
         return 1.0
@@ -439,7 +439,7 @@ def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Re
 
 
 def near_hypotheses(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Hypothesis]:
-    """Those of the refits that are ranked: the best, and what comes near it."""
+    """The refits that are ranked: the best, and those close to it."""
     near = sorted(refits, key=lambda r: r.cost)
     near = [r for i, r in enumerate(near) if i < 4 or r.cost < RUNNING * max(near[0].cost, 1.0)][:10]
     return [
@@ -452,31 +452,33 @@ def near_hypotheses(search: Search, base: Refit, refits: Sequence[Refit]) -> lis
 
 
 def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> Hypothesis:
-    """A refit, what it predicts of stretches of time that are left out of it, and others that it contains."""
+    """A refit with its predictions for stretches of time left out of the fit, and the others that it contains."""
     columns = search.fitted(refit)
     span = search.spans[columns]
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
-    left = left_out(search.jacobian(refit), refit.residuals, search.folds, room, search.firmness[columns])
-    return Hypothesis(refit, left, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values))
+    predicted = left_out(search.jacobian(refit), refit.residuals, search.folds, room, search.firmness[columns])
+    return Hypothesis(
+        refit, predicted, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values)
+    )
 
 
 def floor_known(plays: Sequence[Play]) -> bool:
-    """Whether every play has trials that tell what the rig repeats."""
+    """Whether every play has repeated trials, which show the noise floor."""
     return all(play.trials.count > 1 for play in plays)
 
 
 def _explains(before: Refit, after: Refit) -> bool:
-    """Whether what came in is worth going on from."""
+    """Whether an added effect explains enough to continue from."""
     return before.cost - after.cost >= max(SETTINGS.material, WORTHWHILE * (before.cost - 1.0))
 
 
 def lowest(refits: Sequence[Refit]) -> Refit:
-    """The best; of equal ones the one with fewest effects."""
+    """The best refit; among equal ones, the one with the fewest effects."""
     return min(refits, key=lambda r: (r.objective, len(r.effects)))
 
 
 def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:
-    """The next best of as many effects."""
+    """The next best refits with as many effects."""
     same = [r for r in refits if len(r.effects) == len(best.effects) and set(r.effects) != set(best.effects)]
     near = [r for r in same if r.cost < RUNNING * best.cost]
     return sorted(near, key=lambda r: (r.cost, r.effects))[:RUNNERS_UP]

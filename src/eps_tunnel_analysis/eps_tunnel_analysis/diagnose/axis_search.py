@@ -28,8 +28,7 @@ from labyrinth_sim.rig import BALL_SIGNALS, Axis
 from labyrinth_sim.trials import Array
 
 STEPS: Mapping[Level, float] = {"coarse": 0.005, "fine": 0.0025, "exact": 0.00125}
-"""s between the steps of roll-outs: to search, and, of what cannot be extrapolated from those, where that errs and to
-judge"""
+"""s between the steps of roll-outs: to search; and, if these cannot be extrapolated, where they err, and to judge"""
 BEGUN = 0.25  # s after the start, before which nothing is compared: a roll-out starts where sensors say
 TURN = 0.05  # s over which a change of the command's speed counts as one
 SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
@@ -45,13 +44,13 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """What is passed along in one diagnosis.
+    """Options that are passed along in one diagnosis.
 
     Attributes:
         only: names of the effects to consider; None for the whole library.
         nthread: 0 for one per CPU; the answer does not depend on it.
-        progress: called now and then with what is being done and how many roll-outs this search has made.
-        spread: has roll-outs done elsewhere; None for this machine.
+        progress: called now and then with the current step and the number of roll-outs of this search.
+        spread: runs roll-outs elsewhere; None for this machine.
     """
 
     only: tuple[str, ...] | None = None
@@ -62,13 +61,13 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class AxisPart:
-    """What is judged at once: an axis, several that shake one another, or the ball.
+    """What is judged together: an axis, several coupled axes, or the ball.
 
     Attributes:
         axes: their short names.
         signals: compared; positions first, then efforts.
         base: full names of the values refitted with every candidate.
-        rough: how many of them, the last ones, are known roughly: they are moved only once the others fit.
+        rough: how many of them, the last ones, are known roughly; they are moved only after the others fit.
     """
 
     axes: tuple[str, ...]
@@ -78,7 +77,7 @@ class AxisPart:
 
     @property
     def name(self) -> str:
-        """That of the axis; of several, all."""
+        """Name of the axis; for several, all names."""
         return " and ".join(self.axes)
 
     @property
@@ -87,7 +86,7 @@ class AxisPart:
         return part_name(self.name) if len(self.axes) == 1 else f"axes {self.name}"
 
     def level(self, levels: Mapping[str, float] | None) -> float:
-        """Mean of what its axes are said to have left, axis -> floors; 0 where nothing is said."""
+        """Mean of the floors given for its axes, axis -> floors; 0 if none are given."""
         return sum((levels or {}).get(name, 0.0) for name in self.axes) / len(self.axes)
 
 
@@ -111,9 +110,9 @@ def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
 
 
 def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
-    """What a model states of an axis and nobody knows well: the drive's limits, the inertia that it turns, its belt.
+    """Stated values of an axis that are rarely known well: the drive's limits, the inertia that it turns, its belt.
 
-    What is stated as nothing stays so, but for what the drive itself declares.
+    A value stated as 0 stays 0, unless the drive itself declares it uncertain.
     """
     mj = compiled(model, with_ball=False).mj
     body = mj.body(int(mj.joint(axis.load).bodyid[0])).name
@@ -126,7 +125,7 @@ def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
 
 
 def moved_parts(model: Model, parts: Sequence[AxisPart], plays: Sequence[Play]) -> list[AxisPart]:
-    """Those that a recorded command moves. Raises InputError where there is none."""
+    """The parts that a recorded command moves. Raises InputError if there are none."""
     moved = [p for p in parts if _is_moved(model, p, plays)]
     if not moved:
         raise InputError(
@@ -148,30 +147,30 @@ def _commands(play: Play, channel: str) -> Array:
 
 
 def joined(model: Model, parts: Sequence[AxisPart]) -> list[AxisPart]:
-    """The parts, those whose axes shake one another as one: by inertia, or by an effect that the model has.
+    """The parts, with coupled axes as one part: coupled by inertia, or by an effect of the model.
 
-    Judged apart, what one axis lacks would look as if another one lacked something, too.
+    If judged separately, an effect that one axis lacks would make another one look incomplete, too.
     """
     couples = any(use.effect.couples for use in model.effects)
     groups = [tuple(a.name for a in model.rig.axes)] if couples else coupled_axes(model)
-    found = []
+    merged = []
     for group in groups:
         own = [p for p in parts if set(p.axes) & set(group)]
         free = [n for p in own for n in p.base[: len(p.base) - p.rough]]
         rough = [n for p in own for n in p.base[len(p.base) - p.rough :]]
         if own:
             signals = tuple(n for p in own for n in p.signals)
-            found.append(AxisPart(tuple(n for p in own for n in p.axes), signals, (*free, *rough), len(rough)))
-    return found
+            merged.append(AxisPart(tuple(n for p in own for n in p.axes), signals, (*free, *rough), len(rough)))
+    return merged
 
 
 def ball_part() -> AxisPart:
-    """The ball, judged as an axis is; without base values, for friction refitted would take up a latency."""
+    """The ball, judged like an axis; without base values, because refitted friction would absorb a latency."""
     return AxisPart((BALL,), BALL_SIGNALS, ())
 
 
 def _silent_integral(model: Model, name: str) -> bool:
-    """A drive whose law has no integral part keeps none: it would stand in for any steady torque."""
+    """Whether a drive's law has no integral part. It stays without one, which would stand in for any steady torque."""
     return name.startswith("drive.") and name.endswith(".i") and model.values()[name] == 0.0
 
 
@@ -196,7 +195,7 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
     ball, ticks = part.axes == (BALL,), smooth.values() != lib.model.values()
     rolled = partial(Evidence, free=lib.names, plays=seen, signals=part.signals, nthread=run.nthread, spread=run.spread)
     levels: dict[Level, Evidence] = {"coarse": rolled(smooth, step=STEPS["coarse"])}
-    # Neither contacts nor ticks let a motion be extrapolated.
+    # Motions with contacts or ticks cannot be extrapolated.
     levels["fine"] = rolled(smooth, step=STEPS["fine" if ball else "coarse"], extrapolate=not ball)
     levels["exact"] = rolled(lib.model, step=STEPS["exact"]) if ball or ticks else levels["fine"]
     if not ball:
@@ -227,7 +226,7 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
 def _steady(play: PlayEvidence, channel: str) -> NDArray[np.bool_]:
     """For each bin of a play whether the command has kept its speed for a while: at rest, on ramps.
 
-    Elsewhere a drive's effort is inertia, sampled once between the beats of a controller: not comparable.
+    Elsewhere a drive's effort is mostly inertia, sampled once per controller cycle, and not comparable.
     """
     return is_steady(setpoints(play.trials, channel, play.width, int(play.seconds / play.width) + 1), play.width)
 
@@ -250,7 +249,7 @@ class Stopped(Exception):
 def side_by_side(
     search: Callable[[Item, SearchOptions], Answer], items: Sequence[Item], run: SearchOptions
 ) -> list[Answer]:
-    """What a search finds of each item, in their order; the answers do not depend on how many run at once.
+    """The result of a search for each item, in their order; it does not depend on how many run at once.
 
     The roll-outs of one axis alone are too few to keep all CPUs busy. An error, or Ctrl-C, in one ends the others at
     their next roll-outs.

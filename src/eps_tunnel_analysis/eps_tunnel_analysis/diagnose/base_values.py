@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The values that a model has already, fitted before anything is added to it."""
+"""The values that a model already has, fitted before anything is added to it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,8 +21,8 @@ APART = 0.1  # of a value's span, between starts
 NEAR_OWN = 0.2  # of a value's span, where half of them lie around the model's own
 BASE_ROUNDS = 8  # of each descent
 COMPARED_ROUNDS = 3  # of the finalists, before they are compared
-VALLEY_POINTS = 8  # to either side of the best, along what it determines least
-MORE_DESCENTS = 3  # descents more at most, while the last one helped
+VALLEY_POINTS = 8  # to either side of the best, along the direction that it determines least
+MORE_DESCENTS = 3  # further descents at most, as long as the last one helped
 BASE_FINALISTS = 3  # of the starts, descended to the end
 
 
@@ -39,30 +39,30 @@ class Bases:
     evaluations: int = 0
 
     def among(self, model: Model, part: AxisPart) -> Model:
-        """The model as one part is searched on it: the other axes with their refitted values."""
+        """The model for the search on one part: the other axes with their refitted values."""
         return model.with_values({n: v for n, v in self.values.items() if n not in part.base}, "refitted")
 
     def known(self, part: AxisPart) -> dict[str, float] | None:
-        """Those of one part; None where they are not all known."""
+        """The values of one part; None unless all are known."""
         return {n: self.values[n] for n in part.base} if part.base and set(part.base) <= set(self.values) else None
 
 
 def fitted_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions) -> Bases:
-    """The base values of every axis, each fitted while the others move as they do; then together what shakes together.
+    """The base values of every axis, each fitted while the others move as simulated; then coupled axes together.
 
-    Whatever couples to a wrong drive of another axis turns along wrongly.
+    An axis that is coupled to another one with a wrong drive moves wrongly with it.
     """
     chosen = [p for p in parts if p.base]
     bases = Bases()
     for together in (chosen, [group for group in joined(model, chosen) if len(group.axes) > 1]):
-        found = side_by_side(partial(_fitted, model, plays, bases), together, run)
-        bases = Bases({n: v for one in (bases, *found) for n, v in one.values.items()},
-                      bases.evaluations + sum(one.evaluations for one in found))  # fmt: skip
+        fits = side_by_side(partial(_fitted, model, plays, bases), together, run)
+        bases = Bases({n: v for one in (bases, *fits) for n, v in one.values.items()},
+                      bases.evaluations + sum(one.evaluations for one in fits))  # fmt: skip
     return bases
 
 
 def _fitted(model: Model, plays: Sequence[Play], bases: Bases, part: AxisPart, run: SearchOptions) -> Bases:
-    """The base values of one part, beside others whose values are those of `bases`."""
+    """The base values of one part, while the other parts have the values of `bases`."""
     search = axis_search(bases.among(model, part), plays, part, replace(run, only=()))
     refit = base_refit(search, bases.known(part))
     values = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
@@ -70,12 +70,12 @@ def _fitted(model: Model, plays: Sequence[Play], bases: Bases, part: AxisPart, r
 
 
 def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refit:
-    """The base values alone: descended from where the model has them and from the best of many others.
+    """The base values alone: descended from the model's own and from the best of many others.
 
-    Delay and D stand in for one another, and a base that is stuck in the wrong valley makes any effect look good.
+    Delay and D can compensate for each other, and a base stuck in the wrong valley makes any effect look good.
 
     Args:
-        known: what such a search found already; then it goes on from there.
+        known: values from an earlier search; the descent continues from these.
     """
     if known is None:
         return base_from(search, base_starts(search, search.start, BASE_STARTS), first=True)
@@ -85,7 +85,7 @@ def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refi
 
 
 def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
-    """(K,) values, and those with other base values that fit best, out of many, each from a valley of its own."""
+    """The (K,) values, and those with other base values that fit best out of many, each from a different valley."""
     size = len(search.library.base) - search.library.rough
     drawn = qmc.Sobol(size, rng=0, scramble=True).random(BASE_POINTS) if size else np.empty((0, 0))
     span = search.spans[:size]
@@ -95,7 +95,7 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     points[near + 1 :, :size] = search.low[:size] + drawn[near:] * span
     points = np.clip(points, search.low, search.high)
     cost = np.mean(search.residuals(points) ** 2, axis=1)
-    cost[0] = -1.0  # the given ones are tried in any case
+    cost[0] = -1.0  # the given values are tried in any case
     chosen: list[Array] = []
     for i in np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable"):
         if all(np.any(np.abs(points[i] - other)[:size] > APART * span) for other in chosen):
@@ -106,7 +106,7 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
 def base_from(search: Search, points: Sequence[Array], first: bool = False) -> Refit:
     """The base values alone, descended from (K,) values whose effects do not count.
 
-    From several points the best valley is sought first; a single one is taken to lie in it.
+    From several points the best valley is searched first; a single one is assumed to lie in it.
 
     Args:
         first: nothing was refitted before; then the noise floor is settled, too.
@@ -132,8 +132,8 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
         search.settle_at(result)
         away = search.refit([((), point) for point in along_valley(search, result)], BASE_ROUNDS) if not number else []
         before = result
-        found = search.judged([((), r.values) for r in (result, *away)], BASE_ROUNDS)
-        result = min([before, *found], key=lambda r: r.objective)
+        finished = search.judged([((), r.values) for r in (result, *away)], BASE_ROUNDS)
+        result = min([before, *finished], key=lambda r: r.objective)
         if result.objective > (1.0 - STANDS) * before.objective:
             break
     if first:
@@ -157,18 +157,18 @@ def best_valleys(search: Search, starts: Sequence[Array]) -> list[Refit]:
 
 
 def better_base(search: Search, base: Refit, points: Sequence[Array]) -> Refit:
-    """The base from those of (K,) values that lead elsewhere, if that is lower; the search is settled there."""
+    """The base descended from those (K,) values that lie elsewhere, if it fits better; the search is settled there."""
     size = len(search.library.base)
     starts = [np.concatenate([point[:size], search.start[size:]]) for point in points] if size else []
     span = search.spans[:size]
     apart = STANDS * max(1.0, base.objective)
-    found = [
+    elsewhere = [
         r.values
         for r in search.refit([((), start) for start in starts], BASE_ROUNDS, rough=False)
         if r.objective < base.objective - apart
         or (r.objective < base.objective + apart and np.any(np.abs(r.values - base.values)[:size] > APART * span))
     ]
-    again = base_from(search, found) if found else base
+    again = base_from(search, elsewhere) if elsewhere else base
     if again.cost < base.cost:
         return again
     search.settle_at(base)
@@ -176,19 +176,19 @@ def better_base(search: Search, base: Refit, points: Sequence[Array]) -> Refit:
 
 
 def sensed_joints(search: Search) -> list[list[str]]:
-    """For each joint whose position is compared its signals, the finest first."""
-    found: dict[str, list[str]] = {}
+    """For each joint whose position is compared, its signals, finest first."""
+    joints: dict[str, list[str]] = {}
     for axis in search.library.model.rig.axes:
         for m in axis.finest_first:
             if m.quantity == "position" and m.signal in search.evidence.signals:
-                found.setdefault(m.joint, []).append(m.signal)
-    return list(found.values())
+                joints.setdefault(m.joint, []).append(m.signal)
+    return list(joints.values())
 
 
 def along_valley(search: Search, refit: Refit) -> list[Array]:
     """(K,) values far from a refit's along the direction that it determines least, the best to either side.
 
-    Values that stand in for one another, as D and delay do, make a long valley with more than one hollow.
+    Values that can compensate for each other, such as D and delay, make a long valley with more than one minimum.
     """
     columns = search.fitted(refit)[: len(search.library.base) - search.library.rough]
     if len(columns) < 2:

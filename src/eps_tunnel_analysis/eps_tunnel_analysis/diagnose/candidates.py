@@ -2,7 +2,7 @@
 """Candidates: each effect of the library at each place of the rig, and one model that holds them all switched off.
 
 At its off values an effect changes nothing, bit for bit, so roll-outs of all candidates can share one compiled model
-and travel in one batch.
+and run in one batch.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from labyrinth_sim.trials import Array
 
 FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
 LIMITS = 7  # values of a limit, as of a torque's
-TICKS_APART = 1.056  # times the next finer, for the valley of a tick is some 4 % wide, and its edges are seen
+TICKS_APART = 1.056  # times the next finer one: the valley of a tick is some 4 % wide, and its edges show
 FINEST_TICK = 0.05  # of the typical one; the coarsest
 COARSEST_TICK = 0.95  # of the largest
 MULTIPLES = 64  # of a known tick
@@ -32,12 +32,12 @@ class Candidate:
     """One effect at one place.
 
     Attributes:
-        effect, place: as in `backlash.x.width`.
+        effect, place: the first two parts of a name such as `backlash.x.width`.
         axes: short names of the axes whose signals it can change; empty for the ball.
         parameters: full names of its fitted parameters.
-        given: its other parameters by short name, as the range of a curve.
-        size: of the axis, by which its parameters' bounds and typical values grow.
-        register: the tick of the goals or the sensor at its place as a data sheet tells it; 0 where that is unknown.
+        given: its other parameters by short name, such as the range of a curve.
+        size: of the axis, with which its parameters' bounds and typical values scale.
+        register: the tick of the goals or the sensor at its place, from a data sheet; 0 if that is unknown.
     """
 
     effect: Effect
@@ -94,15 +94,15 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
     Args:
         base: full names of the values refitted with every candidate.
         with_ball: whether effects on the ball are candidates.
-        only: names of effects to consider, `backlash` or at one place `backlash.x`; by default all that the model's
-            registry knows but free curves.
+        only: names of effects to consider, `backlash` or at one place `backlash.x`; by default all of the model's
+            registry except free curves.
 
     Raises:
         InputError: a name that it does not know.
     """
     model.registry.check(only or ())
     present = {(use.effect.name, use.place) for use in model.effects}
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     chosen = None if only is None else set(only)
     for effect in model.registry.effects.values():
         if effect.nameless and chosen is None:
@@ -114,12 +114,12 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
             if not wanted or (effect.name, place) in present:
                 continue
             model = model.with_effect(effect, place, effect.off, "switched off")
-            found.append(candidate(model, effect, place))
-    return Library(model, tuple(base), tuple(found))
+            candidates.append(candidate(model, effect, place))
+    return Library(model, tuple(base), tuple(candidates))
 
 
 def loosely_known(model: Model, name: str) -> bool:
-    """Whether a free value of a model is stated, and by more than a guess: as its drive declares, or with an effect."""
+    """Whether a free value is stated by more than a guess: its drive declares so, or it belongs to an effect."""
     if model.values()[name] == 0.0:
         return False
     declared = [full_name(axis, own) for axis in model.rig.axes for own in model.drives[axis.name].kind.loose]
@@ -136,7 +136,7 @@ def candidate(model: Model, effect: Effect, place: str, given: Mapping[str, floa
 
 
 def _register(model: Model, effect: Effect, place: str) -> float:
-    """The tick that a data sheet tells of a sensor or of an axis's goals, which may share a name; 0 where none does."""
+    """The tick that a data sheet gives for a sensor or an axis's goals, which may share a name; 0 if none does."""
     if effect.where == "signal":
         return next((m.resolution for m in model.rig.measured if m.signal == place), 0.0)
     drive = model.drives.get(place)
@@ -148,14 +148,14 @@ def with_curves(lib: Library, ranges: Mapping[tuple[str, str], Mapping[str, floa
     """A library with free curves as further candidates.
 
     Args:
-        ranges: (free curve, place) -> the range that it covers, as `law.added_force.visited` finds it.
+        ranges: (free curve, place) -> the range that it covers, from `law.added_force.visited`.
     """
-    model, found = lib.model, list(lib.candidates)
+    model, candidates = lib.model, list(lib.candidates)
     for (name, place), given in ranges.items():
         effect = model.registry.effect(name)
         model = model.with_effect(effect, place, {**effect.off, **given}, "switched off")
-        found.append(candidate(model, effect, place, given))
-    return replace(lib, model=model, candidates=tuple(found))
+        candidates.append(candidate(model, effect, place, given))
+    return replace(lib, model=model, candidates=tuple(candidates))
 
 
 def axes_of(model: Model, effect: Effect, place: str) -> tuple[str, ...]:
@@ -168,12 +168,12 @@ def axes_of(model: Model, effect: Effect, place: str) -> tuple[str, ...]:
 
 
 def is_rough(candidate: Candidate) -> bool:
-    """Whether its misfit is rough, so that what a start promises says little: of the ball, which meets walls."""
+    """Whether its misfit is rough, so that a start's promise means little: true for the ball, which hits walls."""
     return not candidate.axes and len(candidate.declared) == 1
 
 
 def starts(candidate: Candidate) -> Array:
-    """Values (s, k) of a candidate's parameters from which to look.
+    """Values (s, k) of a candidate's parameters from which to start.
 
     Values that switch the effect are tried small, typical and large, of either sign; those that only shape it (a
     period, a characteristic speed) at a few places between their bounds. Delay and backlash have kinks and valleys, so
@@ -182,7 +182,7 @@ def starts(candidate: Candidate) -> Array:
     declared = candidate.declared
     if candidate.effect.nameless:  # a table's values act one by one and in proportion
         return np.array([[p.off or 0.0 for p in declared]])
-    if is_tick(candidate):  # rounding fits at one value and hardly beside it
+    if is_tick(candidate):  # rounding fits at one value and hardly next to it
         rows = [[p.typical for p in declared]]
         rows += [[*rows[0][:k], p.high, *rows[0][k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low]
         finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
@@ -209,7 +209,7 @@ def starts(candidate: Candidate) -> Array:
 
 
 def _spread(p: Parameter) -> Array:
-    """A few places between the bounds of what only shapes an effect."""
+    """A few values between the bounds of a parameter that only shapes an effect."""
     return np.geomspace(p.low, p.high, 7)[1:-1] if p.low > 0 else np.linspace(p.low, p.high, 5)[:-1]
 
 
@@ -229,7 +229,7 @@ def is_tick(candidate: Candidate) -> bool:
 
 
 def _ladders(switching: Sequence[Parameter]) -> Iterator[Array]:
-    """Values (s, k) from weak to strong: of either sign about the off values; of a limit, over all of its decades."""
+    """Values (s, k) from weak to strong: of either sign about the off values; for a limit, over all of its decades."""
     if all(p.off == p.high and p.low > 0 for p in switching):
         yield np.column_stack([np.geomspace(p.low, p.high, LIMITS + 2)[1:-1] for p in switching])
         return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnosis: recordings and a model in, a verdict with its evidence out. docs/diagnosis.md goes the same way."""
+"""The diagnosis: recordings and a model in, a verdict with its evidence out. docs/diagnosis.md has the same steps."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -45,13 +45,13 @@ def diagnose(
     Args:
         model: as far as it is known; its drives' values need not be right.
         plays: recorded commands with their trials.
-        seed: kept with the result; nothing is drawn that depends on it.
+        seed: stored with the result; no random draw depends on it.
         only: names of effects to consider; the whole library by default.
-        progress: called with what is being done, how many roll-outs were made, and of about how many.
+        progress: called with the current step, the roll-outs so far, and about how many there will be.
         levels: axis -> mean square in units of the noise floor before effects were added in earlier steps.
         held: plays that are never fitted, for the held-out error; without them stretches of time are left out in turn.
-        experiments: look for the experiment that decides, where the recordings do not.
-        spread: has roll-outs done elsewhere, as `fit.cluster.cluster` gives it; the answer does not depend on it.
+        experiments: look for an experiment that decides, if the recordings do not.
+        spread: runs roll-outs elsewhere, such as from `fit.cluster.cluster`; the answer does not depend on it.
 
     Raises:
         InputError: no axis with a measured position and a command that moves it, unknown effect names.
@@ -66,14 +66,14 @@ def diagnose(
     count = RolloutCount(progress, expected_rollouts([(len(p.base), effects) for p in moved])) if progress else None
     run = SearchOptions(tuple(on_axes) if only is not None else None, nthread, count, spread)
 
-    # Each axis by itself, the others moving as they do; together what shakes together.
+    # Each axis by itself while the others move as simulated; coupled axes together.
     bases = fitted_bases(model, alone, moved, run) if len(moved) > 1 else Bases()
     axes = side_by_side(
         lambda part, run: diagnose_axis(model, alone, part, run, part.level(levels), bases), joined(model, moved), run
     )
     judged = len(axes)
     if rolls:
-        # It rolls as the axes tilt, so it is judged with what is missing there added already.
+        # It rolls as the axes tilt, so it is judged with the axes' missing effects already added.
         tilted = with_refits(model, axes, set(decide(together(axes), SETTINGS.coverage)[1]))
         own = replace(run, only=tuple(on_ball))
         axes.append(diagnose_axis(tilted, plays, ball_part(), own, ball_part().level(levels)))
@@ -97,14 +97,14 @@ def diagnose(
     experiment = None
     if experiments and kind == "undecided":
         experiment = next_experiment(axes[:judged], base_model, stated, floor_known(plays))
-    said = {name: axis_verdict(a, name, named) for a in axes for name in a.part.axes}
+    verdicts = {name: axis_verdict(a, name, named) for a in axes for name in a.part.axes}
     verdict = Verdict(
         verdict=kind,
         effects=named,
         set=probabilities,
         stated=stated,
         coverage=SETTINGS.coverage,
-        sentence=sentence(kind, named, stated, probabilities, said, model.registry, floor_known(plays)),
+        sentence=sentence(kind, named, stated, probabilities, verdicts, model.registry, floor_known(plays)),
         where=far.where,
         given=far.errors[0],
         before=far.errors[1],
@@ -112,7 +112,7 @@ def diagnose(
         ball=far.ball,
         plays=far.plays,
         rig_against_itself=far.rig_against_itself,
-        axes=said,
+        axes=verdicts,
         values={n: v for n, v in final.values().items() if n in fit_names(axes, named)},
         seed=seed,
         evaluations=bases.evaluations + sum(axis.search.evaluations for axis in axes),

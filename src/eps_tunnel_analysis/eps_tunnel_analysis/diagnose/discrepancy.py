@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """By how much a missing effect, or the noise of the pose in which plays start, may have shifted values, to first order.
 
-A fit hides as much of a missing effect in its values as these can imitate; what is left says only how strong the rest
-is. So each effect of the library is tried: its part that the values can not imitate is scaled to what is left, and with
-it goes the shift that the other part made. Intervals widen by the largest shift among the effects that explain about as
-much as the best one does.
+A fit absorbs as much of a missing effect into its values as these can imitate; the residuals show only how strong the
+rest is. So each effect of the library is tried: the part that the values cannot imitate is scaled to the residuals, and
+the shift from the other part is scaled with it. Intervals widen by the largest shift among the effects that explain
+about as much as the best one.
 """
 
 import copy
@@ -32,7 +32,7 @@ COUNTS_FROM = 0.02  # likelihood, over that of the best effect, from which one c
 class Discrepancy:
     """Attributes:
     shifts: (n, k) by which each effect that may be missing would have shifted the values, normalised units.
-    likely: the effect that explains most, to first order; "" where no more is left than noise.
+    likely: the effect that explains most, to first order; "" if only noise is left.
     """
 
     shifts: Array
@@ -60,7 +60,7 @@ class _TriedEffects:
 def discrepancy(
     objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array, slopes: Array
 ) -> Discrepancy:
-    """What a missing effect may have done to a fit.
+    """How a missing effect may have changed a fit.
 
     Args:
         plays: that were fitted.
@@ -89,7 +89,7 @@ def shifts_of(
     answer: Callable[[Array], Array], lib: Library, candidates: Sequence[Candidate], off: Array, residuals: Array,
     slopes: Array, inverse: Array, blocks: Array,
 ) -> Discrepancy:  # fmt: skip
-    """What each of some effects may have done to a fit, if it were the one that is missing.
+    """How each of some effects may have changed a fit, if it is the one that is missing.
 
     Args:
         answer: maps values (n, K) of all of the library's names to residuals (n, R).
@@ -105,22 +105,22 @@ def shifts_of(
     worth = len(residuals) / (2.0 * autocorrelation_length(residuals, blocks) + 1.0)
 
     def tried(rows: Array, names: tuple[str, ...]) -> _TriedEffects:
-        """The part that the values can not imitate, scaled to what is left; and what the other part shifts."""
+        """The part that the values cannot imitate, scaled to what is left; and the shift from the other part."""
         change = np.nan_to_num(answer(rows)) - residuals
         imitated = change @ inverse.T
         rest = change - imitated @ slopes.T
         size = np.maximum(np.sum(rest**2, axis=1), 1e-300)
         strength = np.clip(-(rest @ residuals) / size, 0.0, STRONGEST)
-        left = np.mean((residuals + strength[:, None] * rest) ** 2, axis=1)
-        return _TriedEffects(rows, names, strength, -strength[:, None] * imitated, left)
+        remaining = np.mean((residuals + strength[:, None] * rest) ** 2, axis=1)
+        return _TriedEffects(rows, names, strength, -strength[:, None] * imitated, remaining)
 
     first = tried(rows, names)
     best = _best_of_each(first)[:TRIED_AGAIN]
     again = tried(_stronger(lib, off, first, best), tuple(first.names[i] for i in best))
-    left = np.concatenate([first.left, again.left])
+    squares = np.concatenate([first.left, again.left])
     shift = np.concatenate([first.shift, again.shift])
-    near = -0.5 * worth * np.log(np.maximum(left, 1e-300) / max(left.min(), 1e-300)) >= np.log(COUNTS_FROM)
-    likely = (*first.names, *again.names)[int(np.argmin(left))]
+    near = -0.5 * worth * np.log(np.maximum(squares, 1e-300) / max(squares.min(), 1e-300)) >= np.log(COUNTS_FROM)
+    likely = (*first.names, *again.names)[int(np.argmin(squares))]
     return Discrepancy(shift[near], likely)
 
 
@@ -175,9 +175,9 @@ def _stronger(lib: Library, off: Array, tried: _TriedEffects, which: Sequence[in
 def start_pose_deviation(
     objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array, slopes: Array
 ) -> Array:
-    """(k,) standard deviations, normalised, of what the noise of the pose in which plays start does to fitted values.
+    """(k,) standard deviations, normalised, of fitted values due to noise in the poses in which plays start.
 
-    Each play and position starts by itself.
+    The starts of different plays and positions are independent.
 
     Args:
         plays: that were fitted.
@@ -198,7 +198,7 @@ def start_pose_deviation(
 def start_changes(
     objective: Objective, plays: Sequence[Play], problem: Problem, z: Array, residuals: Array
 ) -> Iterator[Array]:
-    """For each position (R,) by how much residuals change as every play starts elsewhere, by the noise of its mean."""
+    """For each position, the change (R,) of the residuals when every play's start moves by the noise of its mean."""
     values = problem.from_unit(z)[None]
     runs = objective.rollouts
     for signal, start in runs.initial.items():
@@ -210,7 +210,7 @@ def start_changes(
 
 
 def _noise_of_mean(play: Play, signal: str) -> float:
-    """Standard deviation of a signal's mean over a play's trials; 0 of a single one, of which nothing is known."""
+    """Standard deviation of a signal's mean over a play's trials; 0 for a single trial, whose noise is unknown."""
     if signal not in play.trials.signals or play.trials.count < 2:
         return 0.0
     values = play.trials.values[:, :, play.trials.index(signal)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values that a model states and a diagnosis takes for known: which, if wrong, would explain what no effect does.
+"""Stated values that a diagnosis assumes to be right: which of them, if wrong, would explain what no effect does.
 
-A score test tells which are worth a refit: how much of what is left goes away along each value's slope, or at twice and
-half of it, beyond what the base values take away. And notes on what a diagnosis could not know from the recordings.
+A score test shows which are worth a refit: how much of the misfit vanishes along each value's slope, or at twice and
+half the value, beyond what the base values explain. Also notes on what a diagnosis could not know from the recordings.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ TELLING = 0.5  # of the misfit that the best effect leaves; a value that leaves 
 
 @dataclass(frozen=True)
 class Doubt:
-    """A value that would explain more than any effect if it were another.
+    """A value that would explain more than any effect if it were different.
 
     Attributes:
         name, unit, source: of the parameter, as the model states it.
@@ -49,17 +49,17 @@ class Doubt:
     def sentence(self) -> str:
         """What to check, in words."""
         return (
-            f"{self.name} is taken for known, {self.given:.3g} {self.unit} ({self.source}). If it were "
-            f"{self.fitted:.3g}, {shown_times(self.after)} times the noise floor would be left, against "
+            f"{self.name} is assumed to be right, {self.given:.3g} {self.unit} ({self.source}). If it were "
+            f"{self.fitted:.3g}, {shown_times(self.after)} times the noise floor would be left, compared with "
             f"{shown_times(self.before)} with the best effect: check it."
         )
 
 
 def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: SearchOptions) -> list[Doubt]:
-    """Values of one axis that explain what its effects do not, the likeliest first.
+    """Values of one axis that explain what its effects do not, most likely first.
 
     Args:
-        model: that the axis was searched on.
+        model: on which the axis was searched.
     """
     best, free = axis.best, len(axis.part.base) - axis.part.rough
     part = replace(axis.part, base=axis.part.base[:free], rough=0)
@@ -67,7 +67,7 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
     stated = [n for n in model.parameters() if n not in part.base and n not in known]
     held = tuple(name for p in by_axis(model, stated, plays, None) if p.axis in part.axes for name in p.free)
     infos = model.parameters()
-    found = []
+    doubted = []
     for name, value in _promising(model, plays, axis, part, held, run)[:REFITTED] if held else ():
         info = infos[name]
         search = axis_search(model, plays, _with(part, (name,)), replace(run, only=()))
@@ -80,16 +80,16 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
         refit = base_from(search, list(points))
         if refit.cost < TELLING * best.cost:
             fitted = float(refit.values[last])
-            found.append(Doubt(name, info.unit, info.source, info.value, fitted, best.cost, refit.cost))
-    return sorted(found, key=lambda d: d.after)
+            doubted.append(Doubt(name, info.unit, info.source, info.value, fitted, best.cost, refit.cost))
+    return sorted(doubted, key=lambda d: d.after)
 
 
 def _promising(
     model: Model, plays: Sequence[Play], axis: AxisDiagnosis, part: AxisPart, held: Sequence[str], run: SearchOptions
 ) -> list[tuple[str, float]]:
-    """Names, and the value that is best to first order or of twice and half the given one; the most promising first.
+    """Names, each with its best value, to first order or of twice and half the given one; most promising first.
 
-    Of a limit the slope says little: where it acts, it may act all the time.
+    For a limit the slope says little: where it acts, it may act all the time.
     """
     search = axis_search(model, plays, _with(part, held), replace(run, only=(), progress=None))
     size = len(part.base)
@@ -98,20 +98,20 @@ def _promising(
     here = search.at(values, replace(axis.base, steps=None))
     steps = np.diagonal(search.moved(here) - values)
     slopes = search.changes(here)
-    left = here.residuals
+    residuals = here.residuals
     basis = directions(slopes[:, :size])
     gains = []
     for column, (name, slope) in enumerate(zip(held, slopes[:, size:].T, strict=True), size):
         own = slope - basis @ (basis.T @ slope)
-        along, towards = float(own @ own), -float(own @ left)
+        along, towards = float(own @ own), -float(own @ residuals)
         if not np.isfinite(along) or along * towards == 0.0:
             continue
         wanted = values[column] + towards / along * steps[column]
         value = float(np.clip(wanted, search.low[column], search.high[column]))
-        # Of a parabola's fall that part which the bounds allow.
+        # The part of a parabola's fall that the bounds allow.
         went = (value - values[column]) / (wanted - values[column])
-        gains.append(((2.0 - went) * went * towards**2 / along / float(left @ left), name, value))
-    rest = float(np.sum((left - basis @ (basis.T @ left)) ** 2))
+        gains.append(((2.0 - went) * went * towards**2 / along / float(residuals @ residuals), name, value))
+    rest = float(np.sum((residuals - basis @ (basis.T @ residuals)) ** 2))
     for factor in (2.0, 0.5):
         for column, name in enumerate(held, size):
             point = values.copy()
@@ -144,15 +144,15 @@ def notes_of(
     notes = []
     if any(play.trials.count == 1 for play in plays):
         notes.append(
-            "One trial only: what the rig repeats is unknown, so effects are weighed against one another, one at a "
-            "time, and what is left is held against the sensors' noise alone. Record five trials."
+            "One trial only: how well the rig repeats is unknown, so effects are compared with one another, one at a "
+            "time, and the remaining misfit only with the sensors' noise. Record five trials."
         )
     for part in parts:
         if part not in moved:
             notes.append(f"No command moves axis {part.name}: none of its effects can be seen. Play excite_12s.")
     filmed = any(s in play.trials.signals for s in BALL_SIGNALS for play in plays)
     if model.rig.ball and filmed and not sees_ball(model, plays):
-        notes.append("The ball was not seen where each recording begins, so its effects were not considered.")
+        notes.append("The ball was not visible at the start of every recording, so its effects were not considered.")
     notes += [odd.sentence for axis in axes for odd in axis.odd]
     for axis in axes:
         poor = [r.effects for r in axis.refits if r.effects and not r.converged and r.cost < 2.0 * axis.best.cost]
@@ -170,5 +170,5 @@ def notes_of(
                 )
             joints = [{m.joint for m in some if m.quantity == "position"} for some in (seen, own.measured)]
             if len(joints[0]) < len(joints[1]):
-                notes.append(f"Axis {own.name} has one position only: what lies between motor and load is guesswork.")
+                notes.append(f"Axis {own.name} has only one position: effects between motor and load are uncertain.")
     return tuple(notes)

@@ -27,7 +27,7 @@ class Distances:
         errors: mean over signals and recordings; `ball` those of the ball, where it was seen.
         plays: of each recording, those held out last.
         where: time outside the tunnels with the values refitted.
-        rig_against_itself: as `rig_against_itself` has it.
+        rig_against_itself: from `rig_against_itself`.
     """
 
     near: tuple[Sequence[Comparison], ...]
@@ -46,7 +46,7 @@ def distances(
     Args:
         models: as given, refitted, with the effects.
         held: plays that were never fitted.
-        left_out: of each model, as `errors_of` takes it.
+        left_out: for each model, as in `errors_of`.
     """
     unit, rolls = models[0].rig.position_unit, sees_ball(models[0], plays)
     near, far = ([compared(m, some) for m in models] for some in (plays, held))
@@ -61,13 +61,13 @@ def distances(
 
 
 def compared(model: Model, plays: Sequence[Play]) -> list[Comparison]:
-    """A model against each play, positions only, the ball's where it was seen, at the rig's own step."""
-    found = []
+    """A model compared with each play, positions only, the ball's if it was seen, at the rig's own step."""
+    comparisons = []
     for play in plays:
         ball = BALL_SIGNALS if sees_ball(model, [play]) else ()
         names = [name for name in (*model.rig.positions, *ball) if name in play.trials.signals]
-        found.append(compare(play.trials.select(names), roll_out(model, play).select(names)))
-    return found
+        comparisons.append(compare(play.trials.select(names), roll_out(model, play).select(names)))
+    return comparisons
 
 
 def errors_of(
@@ -76,9 +76,9 @@ def errors_of(
     """Means over plays and signals in this unit.
 
     Args:
-        held: plays that were never fitted; the held-out error is theirs.
-        left_out: without such plays, the error of stretches of time left out in turn; None of a model that was not
-            fitted, whose error on them is its error.
+        held: plays that were never fitted; the held-out error is computed on them.
+        left_out: without such plays, the error on stretches of time left out in turn; None for a model that was not
+            fitted, whose held-out error is its error.
     """
     error = _mean_error(comparisons, unit)
     alike = float(np.mean([c.alikeness[0].joint for c in comparisons]))
@@ -102,8 +102,8 @@ def play_errors(
     return tuple(
         tuple(
             PlayError(play.name, kept, _mean_error([c], unit))
-            for group, found, kept in ((plays, a, False), (held, b, True))
-            for play, c in zip(group, found, strict=True)
+            for group, comparisons, kept in ((plays, a, False), (held, b, True))
+            for play, c in zip(group, comparisons, strict=True)
         )
         for a, b in zip(near, far, strict=True)
     )

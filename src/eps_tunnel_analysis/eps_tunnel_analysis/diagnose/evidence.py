@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence: what was measured, at its own stamps, how exactly, and what a model says at the same instants.
+"""Evidence: what was measured, at its own stamps, how accurately, and what a model predicts at the same instants.
 
 Nothing is resampled: commands act at their own stamps, and a model is rolled out on a grid as fine as it needs and read
 where each sample was taken. So a verdict depends neither on an analysis grid nor on jittering stamps.
@@ -26,7 +26,7 @@ from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
 LONGER = 0.05  # share by which a step may be longer than asked for
-NARROWEST = 0.005  # s, of a bin; what a rig does faster than that is gathered in one
+NARROWEST = 0.005  # s, of a bin; faster motion falls into one bin
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PlayEvidence:
 
 
 def play_evidence(model: Model, play: Play, signals: Sequence[str]) -> PlayEvidence:
-    """What one play says of these signals."""
+    """The evidence of one play on these signals."""
     trials = aligned(play.at_stamps)
     seconds = min(trial.seconds for trial in trials)
     series = [trial.signals[name] for trial in trials for name in signals if len(trial.signals[name].time) > 1]
@@ -74,8 +74,8 @@ class Evidence:
         signals: which are compared.
         step: s, at most, between the steps of a roll-out.
         nthread: 0 for one per CPU; the answer does not depend on it.
-        spread: has roll-outs done elsewhere; None for this machine. The answer does not depend on it either.
-        extrapolate: to steps of no length, from roll-outs at `step` and at half of it.
+        spread: runs roll-outs elsewhere; None for this machine. The answer does not depend on it either.
+        extrapolate: to steps of zero length, from roll-outs at `step` and at half of it.
 
     Attributes:
         mean: (R,) what was measured, play by play, signal by signal, bin by bin.
@@ -116,19 +116,19 @@ class Evidence:
         return other
 
     def less(self, missed: Array) -> "Evidence":
-        """The same, less residuals (R,) that are none of its concern, in the signals' units."""
+        """The same, with residuals (R,) subtracted that need no explanation, in the signals' units."""
         other = self._again()
         other.missed = missed
         return other
 
     def of(self, model: Model) -> "Evidence":
-        """The same of another model of the rig."""
+        """The same for another model of the rig."""
         other = self._again()
         other.model, other.known = model, known_values(model, [p.play for p in self.plays])
         return other
 
     def started(self, shifts: Sequence[Mapping[str, float]]) -> "Evidence":
-        """The same, each play beginning with these signals elsewhere by so much, in their units."""
+        """The same, with these signals shifted by so much at the start of each play, in their units."""
         other = self._again()
         other.initial = [
             {name: value + shift.get(name, 0.0) for name, value in pose.items()}
@@ -137,9 +137,9 @@ class Evidence:
         return other
 
     def _again(self) -> "Evidence":
-        """A copy to be changed, which shares what was read of the plays."""
+        """A copy to be changed, which shares what was read from the plays."""
         other = copy(self)
-        other.__dict__.pop("_residuals", None)  # a spread one has been sent elsewhere as it was
+        other.__dict__.pop("_residuals", None)  # a spread one was sent elsewhere unchanged
         return other
 
     def start_noise(self, play: int, signal: str) -> float:
@@ -157,7 +157,7 @@ class Evidence:
 
     @property
     def shortest(self) -> float:
-        """s, of all steps that are taken."""
+        """s, the shortest step of all plays."""
         return min(self._steps) / (2.0 if self.extrapolate else 1.0)
 
     def times(self, play: int) -> Array:
@@ -185,7 +185,7 @@ class Evidence:
 
     @cached_property
     def initial(self) -> list[dict[str, Array]]:
-        """For each play the position (1,) of each joint where it begins, the mean over its trials; the ball's where it
+        """For each play the initial position (1,) of each joint, the mean over its trials; the ball's if it
         is compared.
         """
         return [
@@ -211,12 +211,12 @@ class Evidence:
         return self.spread(self.alone) if self.spread else self.alone
 
     def __getstate__(self) -> dict[str, Any]:
-        # A worker elsewhere has its own number of cores, and shares nothing out in its turn.
+        # A worker elsewhere has its own number of cores, and does not distribute work itself.
         kept = {name: value for name, value in self.__dict__.items() if name != "_residuals"}
         return {**kept, "nthread": 0, "spread": None}
 
     def alone(self, table: Array) -> Array:
-        """The same of a table (n, k) on this machine."""
+        """The same for a table (n, k), on this machine."""
         parts = []
         for number in range(len(self.plays)):
             result = simulate_batch(
@@ -235,18 +235,18 @@ class Evidence:
         """(R,) number of the stretch of time, about so long, that each residual belongs to; all signals of a play share
         theirs.
         """
-        found = np.empty(len(self.time), dtype=np.int64)
+        numbers = np.empty(len(self.time), dtype=np.int64)
         first = 0
         for number, play in enumerate(self.plays):
             here = self.blocks // len(self.signals) == number
             parts = max(1, round(play.seconds / seconds))
-            found[here] = first + np.minimum((self.time[here] / play.seconds * parts).astype(np.int64), parts - 1)
+            numbers[here] = first + np.minimum((self.time[here] / play.seconds * parts).astype(np.int64), parts - 1)
             first += parts
-        return found
+        return numbers
 
 
 def _even(width: float, step: float) -> float:
-    """s: the longest step, hardly more than `step`, of which a bin is a whole number.
+    """s: the longest step, hardly more than `step`, that divides a bin evenly.
 
     Bins are as wide as stamps are apart, and jitter alone must not halve the step.
     """

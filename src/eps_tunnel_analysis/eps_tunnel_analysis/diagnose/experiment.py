@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The next experiment: a command, from a menu, after which the rivals would still differ.
 
-Hunter and Reiner (Technometrics 7, 1965) run what has the largest expected misfit between the rivals as fitted. But
-both are fitted to the new recording too, so what counts is the misfit that is left when each has adapted as far as the
-old recordings let it, to first order. And a command that jerks harder than any before shows also what the rest of the
-model lacks there, which the old recordings could not tell; it is chosen only where no gentler one decides. One that
-runs into a stop, by any of the rivals, shows the stop instead.
+Hunter and Reiner (Technometrics 7, 1965) choose the largest expected misfit between the rivals as fitted. But both are
+fitted to the new recording too, so what counts is the misfit that is left when each has adapted as far as the old
+recordings allow, to first order. A command with more jerk than any before also shows what the rest of the model lacks
+there, which the old recordings could not show; it is chosen only if no gentler one decides. One that runs into a stop,
+according to any of the rivals, shows the stop instead.
 """
 
 import math
@@ -30,12 +30,12 @@ RATE = 100.0  # Hz
 STEP = 0.0025  # s, MuJoCo's
 TELLS_APART = 1.0  # times the noise floor: one more play that differs by this is worth some 8 in log-likelihood
 STOP = 0.98  # of an axis's range, beyond which it is at its stop
-WORTH = 0.35  # the same, for a command no harsher than those recorded: there the model leaves no more than it did
+WORTH = 0.35  # the same, for a command no harsher than those recorded, where the model leaves no more than before
 
 SAME_COMMAND = 0.3  # of a command's root mean square, by which its recording may differ, as by a sample's delay, and
 SAME_LENGTH = 0.5  # s; commands of the menu differ by more
 SHARES = (0.25, 0.5, 0.9)  # of an axis's range: sizes of the menu's commands
-RANGE = 0.1  # rad, where a rig states no limits
+RANGE = 0.1  # rad, if a rig states no limits
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Harsh:
 @dataclass(frozen=True)
 class _Rival:
     """A hypothesis: (1 + k, K) values as fitted and with each fitted one moved a little, and (R, k) how the old
-    residuals follow, each of them weighing 1 / R.
+    residuals respond, each with weight 1 / R.
     """
 
     name: str
@@ -89,7 +89,7 @@ def menu(model: Model, axis: str) -> dict[str, Command]:
     channels = model.rig.command_channels
     chosen = next(i for i, a in enumerate(model.rig.axes) if a.name == axis)
     reaches = [min(map(abs, a.limits)) if a.limits else RANGE for a in model.rig.axes]
-    found = {}
+    commands = {}
     for share in SHARES:
         for name, shapes, others in _rows(share * reaches[chosen], share):
             label = f"{name}_{axis}_{round(math.degrees(share * reaches[chosen]) * 10):d}"
@@ -97,8 +97,8 @@ def menu(model: Model, axis: str) -> dict[str, Command]:
             rest = [[_scaled(s, reach) for s in others] if others else [Hold(lasts)] for reach in reaches]
             rows = tuple(tuple(shapes) if i == chosen else tuple(rest[i]) for i in range(len(channels)))
             if len(channels) > 1 or not others:
-                found[label] = Command(label, channels, (0.0,) * len(channels), rows)
-    return found
+                commands[label] = Command(label, channels, (0.0,) * len(channels), rows)
+    return commands
 
 
 def _rows(size: float, share: float) -> Iterator[tuple[str, list[Shape], list[Shape]]]:
@@ -107,7 +107,7 @@ def _rows(size: float, share: float) -> Iterator[tuple[str, list[Shape], list[Sh
     """
     for name, shapes in _shapes(size).items():
         yield name, shapes, []
-    # First alone, then together with the others: what the axes share shows by what changes.
+    # First alone, then together with the others: the difference shows what the axes share.
     jumps = (0.25, -0.25, 1.0, -1.0)
     alone = [Hold(0.5), *[Step(0.8, s * size) for s in (*jumps, *jumps, 0.0)]]
     along = [Hold(0.5 + 4 * 0.8), *[Step(0.8, s * share) for s in (*jumps, 0.0)]]
@@ -136,35 +136,35 @@ def next_experiment(
 ) -> Experiment | None:
     """The command after which the rivals of the stated set would still differ.
 
-    Of those that keep off the stops and jerk no harder than what was recorded: the gentlest where they differ enough,
-    else where they differ most, if that is worth a play. Else the gentlest of all where they differ enough; else where
-    they differ most.
+    Among the commands that avoid the stops and have no more jerk than was recorded: the gentlest for which the rivals
+    differ enough, else the one for which they differ most, if that is worth a play. Otherwise, among all commands, the
+    gentlest for which they differ enough, else the one for which they differ most.
 
-    Where the only rival of an effect is something unknown, the one that shows most of the effect; None where there is
-    neither. What was played already is not proposed again: where it left the rivals undecided, so will one more.
+    If the only rival of an effect is something unknown, the command that shows most of the effect; None if there is
+    neither. A command that was already played is not proposed again: it would leave the rivals undecided again.
 
     Args:
         floor: whether the noise floor is known; if not, what the best model leaves is the unit.
     """
     named = "the noise floor" if floor else "what is left"
-    found = [(axis, _rivals(axis, stated)) for axis in axes]
-    alone = all(len(rivals) < 2 for _, rivals in found) and UNKNOWN in stated
+    rivals_of = [(axis, _rivals(axis, stated)) for axis in axes]
+    alone = all(len(rivals) < 2 for _, rivals in rivals_of) and UNKNOWN in stated
     offers: list[tuple[Experiment, Harsh]] = []
-    for axis, refits in found:
+    for axis, refits in rivals_of:
         if alone and refits and refits[0].effects:
             refits = [refits[0], axis.base]
         if len(refits) < 2:
             continue
         rivals = [_rival(axis, refit) for refit in refits]
-        told = " and ".join(sorted(r.name for r in rivals))
+        names = " and ".join(sorted(r.name for r in rivals))
         known = _harshest(axis, rivals[0].points[0])
-        start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {told}, which differ"
+        start = f"Tests {rivals[0].name}, which differs" if alone else f"Decides between {names}, which differ"
         offered = [(own, item) for own in axis.part.axes for item in menu(model, own).items()]
         for own, (name, command) in offered:
             if was_played(axis.search.evidence, command):
                 continue
             answers, harsh = _answers(axis, own, rivals, command, 1.0 if floor else math.sqrt(axis.best.cost), known)
-            # The two that stay closest count: what tells a third rival from both decides nothing.
+            # The two that stay closest count: a difference of both from a third rival decides nothing.
             size = math.sqrt(
                 min(
                     left_after_fit(answers[i][0], answers[j], rivals[j].old)
@@ -202,7 +202,7 @@ def was_played(evidence: Evidence, command: Command) -> bool:
 
 def _harshest(axis: AxisDiagnosis, values: Array) -> float:
     """Root mean square jerk of the harshest play so far, rad/s^3, as simulated with these values (K,)."""
-    evidence, found = axis.search.evidence, [0.0]
+    evidence, jerks = axis.search.evidence, [0.0]
     for number in range(len(evidence.plays)):
         time = evidence.times(number)
         played = simulate_batch(
@@ -210,8 +210,8 @@ def _harshest(axis: AxisDiagnosis, values: Array) -> float:
             per_command={name: given[[number]] for name, given in evidence.known.items()},
             signals=_positions(evidence.model), timestep=STEP, nthread=evidence.nthread,
         )  # fmt: skip
-        found.append(harshness(played.values[0, 0], time, 3))
-    return max(found)
+        jerks.append(harshness(played.values[0, 0], time, 3))
+    return max(jerks)
 
 
 def _positions(model: Model) -> tuple[str, ...]:
@@ -221,7 +221,7 @@ def _positions(model: Model) -> tuple[str, ...]:
 def harshness(angles: Array, time: Array, order: int) -> float:
     """Root mean square of a derivative of angles (T, m) rad: 2 for the acceleration, 3 for the jerk.
 
-    Of differences at RATE, for those of a step grow with the rate.
+    From differences at RATE, because those of a step grow with the rate.
     """
     every = max(1, round(1.0 / (RATE * (time[1] - time[0]))))
     step = every * float(time[1] - time[0])
@@ -233,10 +233,10 @@ def _rivals(axis: AxisDiagnosis, stated: Sequence[str]) -> list[Refit]:
     names = {c.name for c in axis.search.library.candidates}
     chosen: dict[frozenset[str], Refit] = {}
     for name in stated:
-        mine = frozenset(() if name in (NONE, UNKNOWN) else names & set(name.split(" + ")))
-        refit = next((r for r in (axis.base, *axis.refits) if set(r.effects) == mine), None)
+        here = frozenset(() if name in (NONE, UNKNOWN) else names & set(name.split(" + ")))
+        refit = next((r for r in (axis.base, *axis.refits) if set(r.effects) == here), None)
         if name != UNKNOWN and refit is not None:
-            chosen.setdefault(mine, refit)
+            chosen.setdefault(here, refit)
     return list(chosen.values())
 
 
@@ -253,7 +253,7 @@ def _answers(
 ) -> tuple[list[Array], Harsh]:
     """(1 + k, n) for each rival: the compared samples of its roll-outs, in units of the floor, each of weight 1 / n.
 
-    And how harsh the command, which moves the axis `name`, is, `known` being the largest jerk recorded, rad/s^3.
+    Also how harsh the command is, which moves the axis `name`; `known` is the largest jerk recorded, rad/s^3.
     """
     search, signals = axis.search, axis.part.signals
     floors = [unit * float(np.median(search.scale[search.signal == i])) for i in range(len(signals))]
@@ -267,13 +267,13 @@ def _answers(
         nthread=search.evidence.nthread,
     )  # fmt: skip
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
-    mine = model.rig.axis(name)
-    moved = result.values[:, 0][:, :, [every.index(m.signal) for m in mine.measured if m.quantity == "position"]]
-    low, high = (STOP * limit for limit in mine.limits)
+    moved_axis = model.rig.axis(name)
+    moved = result.values[:, 0][:, :, [every.index(m.signal) for m in moved_axis.measured if m.quantity == "position"]]
+    low, high = (STOP * limit for limit in moved_axis.limits)
     stopped = bool(np.nanmin(moved) < low or np.nanmax(moved) > high)
     harsh = Harsh(harshness(angles, time, 2), harshness(angles, time, 3) <= known, stopped)
     late = time - time[0] >= SETTLED
-    channel = model.rig.command_channels.index(mine.command)
+    channel = model.rig.command_channels.index(moved_axis.command)
     calm = late & is_steady(targets[:, channel], time[1] - time[0])
     parts = [
         result.values[:, 0, late if result.units[i] in ("rad", "m") else calm, i] / floors[i]
@@ -285,7 +285,7 @@ def _answers(
 
 
 def left_after_fit(truth: Array, rival: Array, old: Array) -> float:
-    """Mean square that a rival (1 + k, n), adapting, leaves of a truth (n,); it pays on the old residuals (R, k)."""
+    """Mean square that a rival (1 + k, n) leaves of a truth (n,) as it adapts, at the cost of old residuals (R, k)."""
     wanted = np.concatenate([truth - rival[0], np.zeros(len(old))])
     slopes = np.vstack([(rival[1:] - rival[0]).T, old])
     change = np.linalg.lstsq(slopes, wanted, rcond=None)[0]

@@ -20,7 +20,7 @@ Three = tuple[Errors, Errors, Errors]
 
 @dataclass(frozen=True)
 class RecordingErrors:
-    """One recording: its name, whether it was kept from the fit, and the errors of three models on it in `unit`."""
+    """One recording: its name, whether it was held out of the fit, and the errors of three models on it in `unit`."""
 
     name: str
     held_out: bool
@@ -36,7 +36,7 @@ class RecordingErrors:
 
     @property
     def row(self) -> tuple[str, str, str, str, str, str]:
-        """As people read it: name, fitted or held out, three errors, change against the model as given."""
+        """For display: name, fitted or held out, three errors, change against the model as given."""
         errors = (shown_value(e, self.unit) for e in (self.given, self.refitted, self.after))
         given, refitted, after = errors
         return self.name, "held out" if self.held_out else "fitted", given, refitted, after, f"{self.change - 1:+.0%}"
@@ -46,7 +46,7 @@ RECORDING_COLUMNS = ("recording", "", "as given", "refitted", "with effects", "a
 
 
 def by_recording(plays: Sequence[Sequence[PlayError]], unit: str = "rad") -> list[RecordingErrors]:
-    """One entry a recording, the one that fared worst first.
+    """One entry per recording, worst change first.
 
     Args:
         plays: for each of the three models, the error of each recording.
@@ -64,46 +64,48 @@ def fall_sentences(
     itself: float = math.nan,
     ball: bool | None = None,
 ) -> list[str]:
-    """What the effects did to the error: recordings that got worse first, then what was fitted, then what was not.
+    """How the effects changed the error: recordings that got worse first, then what was fitted, then what was not.
 
-    Empty where nothing was measured in this unit.
+    Empty if nothing was measured in this unit.
 
     Args:
         unit: of the errors, and of those of the recordings.
         itself: alikeness that the rig reaches against itself at k = 1; NaN where unknown.
-        ball: the errors are those of the ball, of which neither recordings nor alikeness tell; None: they are where
+        ball: whether the errors are those of the ball, which recordings and alikeness do not cover; None: they are if
             the unit is m.
     """
     ball = unit == "m" if ball is None else ball
     recordings = [] if ball else by_recording(plays, unit)
     worse = [one for one in recordings if one.change > 1.0]
-    said = []
+    sentences = []
     if worse:
         shown = "; ".join(
             f"{one.name} ({one.row[1]}), {one.row[2]} as given, {one.row[4]} now" for one in worse[:WORSE_LISTED]
         )
         more = f"; {len(worse) - WORSE_LISTED} more" if len(worse) > WORSE_LISTED else ""
-        said.append(f"Worse than the model as given on {len(worse)} of {len(recordings)} recordings: {shown}{more}.")
+        sentences.append(
+            f"Worse than the model as given on {len(worse)} of {len(recordings)} recordings: {shown}{more}."
+        )
     given, refitted, after = errors
     if not math.isfinite(given.error):
         return []  # no signal in this unit
     held = any(one.held_out for one in recordings)
     kept = "On recordings held out" if held else "On stretches of time left out of the fit"
-    said.append(_fall("On what was fitted", (given.error, refitted.error, after.error), unit))
-    said.append(_fall(kept, (given.held_out, refitted.held_out, after.held_out), unit))
+    sentences.append(_fall("On what was fitted", (given.error, refitted.error, after.error), unit))
+    sentences.append(_fall(kept, (given.held_out, refitted.held_out, after.held_out), unit))
     if not ball:
         alike = [shown_share(e.alikeness) for e in errors]
-        said.append(
+        sentences.append(
             f"Alikeness at k = 1: {alike[0]} as given, {alike[1]} with its values refitted, {alike[2]} now"
             f"{of_rig(itself)}."
         )
     if after.held_out >= refitted.held_out:
-        said.append("It does not help beyond refitted values on what was not fitted: leave it out.")
-    return said
+        sentences.append("On what was not fitted it is no better than refitted values alone: leave it out.")
+    return sentences
 
 
 def of_rig(itself: float) -> str:
-    """What the rig reaches against itself, as the end of a sentence on alikeness; empty where unknown."""
+    """What the rig reaches against itself, as the end of a sentence on alikeness; empty if unknown."""
     return "" if math.isnan(itself) else f"; the rig against itself reaches {shown_share(itself)}"
 
 

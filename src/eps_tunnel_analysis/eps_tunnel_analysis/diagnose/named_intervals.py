@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """95 % intervals of the values of a model to which a diagnosis has added effects.
 
-They have the parts that a calibration's have: noise that remembers, the pose in which a play starts, and, where more
-than noise is left, what another missing effect would have shifted. And they hold the step that the slopes still
-promise, for a search ends where it gains little. Slopes say nothing of another valley of the misfit; one whose values
-fit as well within chance is in the interval, too.
+They have the same parts as a calibration's: autocorrelated noise, the pose in which a play starts, and, if more than
+noise is left, the shift from another missing effect. They also include the step that the slopes still promise, because
+a search ends when it gains little. Slopes say nothing about other valleys of the misfit; a valley whose values fit as
+well within chance is in the interval, too.
 """
 
 import copy
@@ -37,13 +37,13 @@ def named_intervals(
         model: with them, fitted.
 
     Returns:
-        Nothing on values that the recordings do not feel, which were left as stated.
+        No entry for values that do not affect the recordings, which were left as stated.
     """
     values, infos = model.values(), model.parameters()
-    found: dict[str, tuple[float, float]] = {}
+    bounds: dict[str, tuple[float, float]] = {}
     for axis in axes:
         search = copy.copy(axis.search)
-        search.progress = None  # who showed it is done
+        search.progress = None  # its display has ended
         best, *others = search.valleys(axis.acting(named))
         columns = search.fitted(best)
         half = _half_widths(search, best, columns) * search.spans[columns]
@@ -55,19 +55,19 @@ def named_intervals(
         for column, width, least, most in zip(columns, half, lowest, highest, strict=True):
             name = search.library.names[column]
             low, high = min(values[name], float(least)) - width, max(values[name], float(most)) + width
-            found[name] = (float(max(low, infos[name].low)), float(min(high, infos[name].high)))
-    return found
+            bounds[name] = (float(max(low, infos[name].low)), float(min(high, infos[name].high)))
+    return bounds
 
 
-def intervals_json(found: Mapping[str, tuple[float, float]]) -> dict[str, list[float]]:
+def intervals_json(bounds: Mapping[str, tuple[float, float]]) -> dict[str, list[float]]:
     """Name -> [low, high]."""
-    return {name: [low, high] for name, (low, high) in found.items()}
+    return {name: [low, high] for name, (low, high) in bounds.items()}
 
 
 def profile(search: Search, refit: Refit, column: int) -> float:
     """Half-width of the 95 % interval of one value by its likelihood: slack, limits and friction have kinks, no slope.
 
-    How far to either side the misfit stays within what chance makes of it, for as many samples as are independent.
+    How far the value can move to either side while the misfit stays within chance, given the independent samples.
     """
     away = search.spans[column] * np.geomspace(*PROFILED, PROFILE_POINTS)
     points = np.tile(refit.values, (2 * len(away), 1))
@@ -93,13 +93,13 @@ def profile(search: Search, refit: Refit, column: int) -> float:
 
 
 def chance(search: Search, refit: Refit) -> float:
-    """By how much a mean square may lie above the least by chance, with 95 %."""
+    """By how much a mean square may exceed the least one by chance, at 95 %."""
     return CHI2_95 / max(independent(refit.residuals, search.blocks), 1.0) * refit.cost
 
 
 def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
-    """(k,) of the 95 % intervals of what a refit fits, in shares of their spans; NaN where a slope diverges,
-    inf of a value that moves nothing.
+    """(k,) of the 95 % intervals of the values that a refit fits, in shares of their spans; NaN if a slope diverges,
+    inf for a value that moves nothing.
     """
     if not columns:
         return np.zeros(0)
@@ -107,13 +107,13 @@ def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
     if not np.isfinite(slopes).all():
         return np.full(len(columns), np.nan)
     blocks = search.blocks.astype(float)
-    found = intervals(slopes, refit.residuals, blocks, held=firm, held_variance=SETTINGS.correlated)
+    statistical = intervals(slopes, refit.residuals, blocks, held=firm, held_variance=SETTINGS.correlated)
     inverse = np.linalg.pinv(np.vstack([slopes, np.diag(firm)]))
     off = firm * ((refit.values - search.start) / search.spans)[list(columns)]
     step = inverse @ np.concatenate([refit.residuals, off])
     inverse = inverse[:, : len(slopes)]
     more = np.hypot(_by_start(search, refit, inverse), _by_effects(search, refit, slopes, inverse))
-    half = widened(found, np.hypot(more, step)).half_width
+    half = widened(statistical, np.hypot(more, step)).half_width
     size = np.hypot(np.linalg.norm(slopes, axis=0), firm)
     return np.where(size > UNMOVED * size.max(), half, np.inf)
 

@@ -12,11 +12,11 @@ from labyrinth_sim.trials import Array, locked
 
 DRIFT = 0.3  # s over which deviations of trials are pooled to see them drift
 CHANCE = 1.5
-TICK_SHARE = 1.1  # of a known tick: how well the one in the samples is seen
+TICK_SHARE = 1.1  # of a known tick: how accurately the one in the samples is found
 MEDIAN = 0.6745  # of the size of a Gaussian of deviation 1
 BENDS = 20.0  # variance of third differences of noise of variance 1
 HARMONICS = 5  # of a sensor's ticks
-INDEPENDENT = 2.0 / 3.0  # share of changes from bin to bin that tell something new, of white noise
+INDEPENDENT = 2.0 / 3.0  # share of changes from bin to bin that are independent, for white noise
 LEAST_FREEDOM = 6.0  # degrees of freedom of a variance at least
 WHOLE = 0.9  # share of a quantised signal's changes that are multiples of its tick
 
@@ -29,10 +29,10 @@ class SignalNoise:
         time: (b,) s.
         mean: (b,) over the trials.
         single: standard deviation of one trial's bins about the mean, of the part that changes from bin to bin.
-        tick: smallest difference that the sensor tells apart, 0 where it is fine.
-        floor: (b,) standard deviation of the mean about what a perfect model says: single trials' noise over the root
-            of their number; rounding, as far as trials round alike; what trials drift apart by slowly, in full, for
-            their mean is then no motion that any of them made; and the tolerance.
+        tick: smallest difference that the sensor resolves, 0 if it is fine.
+        floor: (b,) standard deviation of the mean about a perfect model: single trials' noise over the root of their
+            number; rounding, as far as trials round alike; slow drift between trials, in full, because their mean is
+            then not a motion that any of them made; and the tolerance.
     """
 
     time: Array
@@ -57,7 +57,7 @@ def signal_noise(
     """Noise of one signal of one play.
 
     Args:
-        bins: what the trials say; with a single trial its ticks and its roughness are known, not what it repeats.
+        bins: the trials' readings; a single trial shows its ticks and its roughness, but not how well it repeats.
         raw: each trial's samples as recorded.
         width: s, of the bins.
         known_tick: the coarsest tick that the sensor is known to have, 0 for none. A coarser one is no property of the
@@ -66,7 +66,7 @@ def signal_noise(
         timing: s, by how much one trial may be early or late.
     """
     trials, samples = bins.single.shape[0], bins.counts.sum(axis=0)
-    # A bin in which one trial alone has samples says nothing of what repeats.
+    # A bin with samples of only one trial says nothing about repeatability.
     repeated = np.where((bins.counts > 0).sum(axis=0) > 1, bins.counts, 0)
     with np.errstate(divide="ignore"):
         alone = np.where(repeated > 0, 1.0 / repeated - 1.0 / samples, np.nan)  # variance of a deviation, per sample's
@@ -135,7 +135,7 @@ def _rounding(bins: Readings, tick: float, noise: float) -> Array:
 def _roughness(values: Array) -> float:
     """Variance of white noise on a smooth motion (b,), from third differences, in which a motion hardly shows.
 
-    Their median is taken, for where the motion turns sharply they are large.
+    Their median is taken, because they are large where the motion turns sharply.
     """
     bends = np.abs(np.diff(values, 3))
     bends = bends[np.isfinite(bends)]
@@ -148,7 +148,7 @@ def _slope(bins: Readings) -> Array:
 
 
 def _mean(values: Array) -> Array:
-    """(b,) means over the trials that are seen of values (p, b), NaN where none is."""
+    """(b,) means of values (p, b) over the trials that have them, NaN where none has."""
     seen = np.isfinite(values)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(seen, values, 0.0).sum(axis=0) / seen.sum(axis=0))
@@ -168,7 +168,7 @@ def resolution(trials: Sequence[Array], share: float = 0.2) -> float:
     top = float(np.quantile(changes, 0.5))
     small = changes[changes <= 2.0 * top]
     if top < 1e-12:
-        return 0.0  # what stands still but for the numbers' own rounding has no ticks
+        return 0.0  # a signal that stands still except for the numbers' own rounding has no ticks
     if np.ptp(small) <= 1e-6 * top:
         # A slow signal takes one tick now and then; what changes by as much at every sample moves at a constant speed.
         return top if np.mean(every == 0.0) > share and _whole(changes, top) > WHOLE else 0.0
@@ -185,7 +185,7 @@ def resolution(trials: Sequence[Array], share: float = 0.2) -> float:
             break
     if _whole(changes, tick) > WHOLE:
         return tick
-    # At constant speed the commonest change is what is moved in a sample; ticks are what all changes are multiples of.
+    # At constant speed the commonest change is the motion in a sample; a tick is what all changes are multiples of.
     least = float(changes[changes > 1e-6 * top].min())
     return least if _whole(changes, least) > WHOLE else 0.0
 

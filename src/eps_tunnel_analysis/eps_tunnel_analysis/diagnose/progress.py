@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a diagnosis is: the roll-outs that were made, and about how many there will be."""
+"""Progress of a diagnosis: the roll-outs so far, and about how many there will be."""
 
 import math
 from collections.abc import Sequence
 from threading import Lock
 from typing import Protocol
 
-PER_BASE_VALUE = 95  # roll-outs for each base value of an axis: fitted first, and again beside the best effects
+PER_BASE_VALUE = 95  # roll-outs for each base value of an axis: fitted first, and again with the best effects
 PER_CANDIDATE = 30  # for each effect at each place: trial points, and its share of descents
-AND_THEN = 600  # for each axis: descents of the best, what they are mistaken for, judging
-MORE_TO_COME = 1.1  # times what was made; more than was expected may go on for a while
+AND_THEN = 600  # for each axis: descents of the best, their rivals, judging
+MORE_TO_COME = 1.1  # times the roll-outs so far, once there are more than expected
 
 
 class RolloutProgress(Protocol):
-    """Called with what is being done, how many roll-outs were made, and of about how many; 0 where nobody knows."""
+    """Called with the current step, the roll-outs so far, and about how many there will be; 0 if unknown."""
 
     def __call__(self, what: str, count: int, of: int = 0, /) -> None: ...
 
@@ -25,7 +25,7 @@ def expected_rollouts(axes: Sequence[tuple[int, int]]) -> int:
 
 
 class RolloutCount:
-    """Adds up searches, each of which counts from 0. Of one name they follow one another; others may run meanwhile."""
+    """Adds up searches, each of which counts from 0. Those of one name run in sequence; others may run meanwhile."""
 
     def __init__(self, report: RolloutProgress, expected: int) -> None:
         self._report, self._expected = report, expected

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Probabilities of what is missing, from what each hypothesis predicts of samples that it was not fitted to.
+"""Probabilities of what is missing, from the predictions of each hypothesis for samples that it was not fitted to.
 
 Each hypothesis is cross-validated over stretches of time, and the stretches are drawn anew with random weights (the
 Bayesian bootstrap; Yao, Vehtari, Simpson, Gelman: Using stacking to average Bayesian predictive distributions, Bayesian
@@ -23,25 +23,25 @@ from labyrinth_sim.trials import Array
 NONE, UNKNOWN = "none", "unknown"
 LEAST = 1e-4  # probabilities below are not listed
 FEWEST = 30  # samples of a signal that is judged by itself
-UNREPEATED = 2.0  # times as many floors as healthy may be left where nothing tells what a rig repeats
-#: Share of what a stretch says of the values that is kept where it is left out: as if it had been played once more. A
-#: motion that is made once in a recording would else be predicted by an extrapolation to first order.
+UNREPEATED = 2.0  # times the healthy number of floors may be left if the rig's repeatability is unknown
+#: Share of a stretch's information on the values that is kept when it is left out, as if it had been played once more.
+#: Otherwise a motion that occurs once in a recording would be predicted by an extrapolation to first order.
 KEPT = 0.5
-ALIKE = 1e-6  # share of what a value does below which it does nothing that others could not do, by finite differences
+ALIKE = 1e-6  # share of a value's influence below which others could do the same, as seen by finite differences
 TINY = 1e-12
 
 
 @shown
 @dataclass(frozen=True)
 class Hypothesis:
-    """A refit and what it predicts of stretches of time that were left out of it.
+    """A refit and its predictions for stretches of time that were left out of the fit.
 
     Attributes:
         refit: on all samples.
         left_out: (R,) residuals of each sample by values fitted to the other stretches, in units of the noise floor.
-        contains: sets of effects that it can be set to do the same as, beside those that it has all of.
+        contains: sets of effects that it can imitate, in addition to its own subsets.
         strain: how far its values are from what is stated, as a sum of squares in units of what is expected of each.
-        inexact: share of the base's misfit that those of its effects explain that nature has in several forms.
+        inexact: share of the base's misfit explained by those of its effects that occur in several forms.
     """
 
     refit: Refit
@@ -52,7 +52,7 @@ class Hypothesis:
 
     @property
     def cost(self) -> float:
-        """Floors that it leaves of what it was not fitted to."""
+        """Floors that it leaves on samples that it was not fitted to."""
         return float(np.mean(self.left_out**2))
 
 
@@ -63,8 +63,8 @@ class Ranked:
     Attributes:
         effects: candidate names; empty for the base alone.
         probability: 0 to 1.
-        cost: floors that it leaves of the samples that it was fitted to.
-        held_out: the same of stretches of time that were left out.
+        cost: floors that it leaves on the samples that it was fitted to.
+        held_out: the same for stretches of time that were left out.
         explained: share of the base's misfit beyond the noise that is gone, held out, with a 90 % interval.
     """
 
@@ -87,7 +87,7 @@ class Ranking:
     Attributes:
         ranked: most probable first, the base among them.
         unknown: probability of something that no hypothesis explains.
-        unknown_but: the free curve that explains clearly more than every named effect, None where none does.
+        unknown_but: the free curve that explains clearly more than every named effect, None if none does.
     """
 
     ranked: tuple[Ranked, ...]
@@ -102,11 +102,11 @@ class Ranking:
     @property
     def marginals(self) -> dict[str, float]:
         """Effect -> probability that it is missing, whatever else is."""
-        found: dict[str, float] = {}
+        totals: dict[str, float] = {}
         for ranked in self.ranked:
             for name in ranked.effects:
-                found[name] = found.get(name, 0.0) + ranked.probability
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+                totals[name] = totals.get(name, 0.0) + ranked.probability
+        return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
 def name_of(effects: Sequence[str]) -> str:
@@ -128,32 +128,32 @@ def left_out(
         residuals: (R,) there.
         folds: (R,) number of the stretch that each belongs to.
         room: how far down and up each value may go, (k,) each.
-        firmness: (k,) how firmly each value is expected to be as stated; None where all are free.
+        firmness: (k,) how firmly each value is expected to be as stated; None if all are free.
     """
-    found = residuals.copy()
+    predicted = residuals.copy()
     if not jacobian.shape[1]:
-        return found
+        return predicted
     whole = jacobian.T @ jacobian
     if firmness is not None:
         whole += np.diag(firmness**2)
     most = max(float(np.diag(whole).max(initial=0.0)), np.finfo(float).tiny)
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-9 * most))  # each value in units of what it does
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-9 * most))  # each value in units of its influence
     whole = unit[:, None] * whole * unit + ALIKE * np.eye(len(whole))
     for fold in np.unique(folds):
         here = folds == fold
         own = jacobian[here] * unit
         change = _within(whole - (1.0 - KEPT) * own.T @ own, own.T @ residuals[here], -room[0] / unit, room[1] / unit)
-        found[here] = residuals[here] + own @ change
-    return found
+        predicted[here] = residuals[here] + own @ change
+    return predicted
 
 
 def _within(matrix: Array, right: Array, low: Array, high: Array) -> Array:
-    """(k,) what minimises x A x / 2 - b x, A (k, k) being positive, between two bounds, 0 being within them."""
-    found = np.linalg.solve(matrix, right)
-    if np.any((found < low) | (found > high)):
+    """(k,) the minimum of x A x / 2 - b x, with A (k, k) positive definite, between two bounds that include 0."""
+    solution = np.linalg.solve(matrix, right)
+    if np.any((solution < low) | (solution > high)):
         half = np.linalg.cholesky(matrix)
-        found = lsq_linear(half.T, np.linalg.solve(half, right), (low, np.maximum(high, low + TINY))).x
-    return np.asarray(found)
+        solution = lsq_linear(half.T, np.linalg.solve(half, right), (low, np.maximum(high, low + TINY))).x
+    return np.asarray(solution)
 
 
 def independent(residuals: Array, blocks: NDArray[np.int64]) -> float:
@@ -184,13 +184,13 @@ def rank(
         tried: number of candidates.
         curves: free curves, which have no name but may explain more.
         level: floors that the base left before effects were added in earlier steps.
-        drifts: whether the rig drifts from trial to trial: something is missing, whatever else is.
+        drifts: whether the rig drifts from trial to trial, which means that something is missing in any case.
         floor: whether the noise floor is known. If not, the base is one hypothesis among the others, in units of what
-            the best leaves; where that is also likeliest, but lies far beyond the sensors' noise, something is unknown.
-        signals: (R,) number of each one's signal. Whether anything is left is asked of the worst signal, for others
-            with a wide floor would hide it; without them of all samples together.
-        asked: (R,) samples of which it is asked whether anything is left; of all by default. What explains it is
-            judged by all in any case.
+            the best leaves; if that is also likeliest, but lies far beyond the sensors' noise, something is unknown.
+        signals: (R,) number of each one's signal. The worst signal decides whether anything is left, because
+            others with a wide floor would hide it; without `signals`, all samples together.
+        asked: (R,) samples that decide whether anything is left; all by default. What explains it is judged by all in
+            any case.
     """
     everything = [base, *hypotheses, *curves]
     best = min(everything, key=lambda h: h.cost)
@@ -199,12 +199,12 @@ def rank(
     weights = _draws(len(np.unique(folds)))
     costs = _costs(residuals, folds, weights) / unit  # (draws, hypotheses)
     parts = np.zeros(len(folds), dtype=np.int64) if signals is None else signals
-    # Whether anything is left is a matter of the fit, what explains it of what it predicts: a motion that is made once
-    # the right effect predicts badly, too.
+    # The fit shows whether anything is left, the predictions what explains it: a motion that occurs only once is
+    # predicted badly even by the right effect.
     fitted = [h.refit.residuals for h in everything]
     here = np.ones(len(folds), dtype=bool) if asked is None else asked
     worst = _of_worst_signal(fitted, folds, weights, parts, here) / unit
-    # That something is missing is a fact of the recording; what explains it is drawn anew.
+    # Whether something is missing is a fact of the recording; what explains it is resampled.
     worst[:, 0] = _of_worst_signal(fitted[:1], folds, np.ones((1, weights.shape[1])), parts, here)[0, 0] / unit
     worth = independent(best.left_out, blocks)
     first = 1 + len(hypotheses)
@@ -248,9 +248,9 @@ def _costs(
 
 
 def worst_floors(residuals: Array, signal: NDArray[np.int64]) -> float:
-    """Mean square of residuals (R,) in units of the noise floor: of the signal (R,) that has most, or of all.
+    """Mean square of residuals (R,) in units of the noise floor: of the signal (R,) that has most, or of all samples.
 
-    A signal of few samples is not judged by itself.
+    A signal with few samples is not judged by itself.
     """
     count = np.bincount(signal)
     each = np.bincount(signal, residuals**2) / np.maximum(count, 1)
@@ -264,15 +264,15 @@ def _of_worst_signal(
     signals: NDArray[np.int64],
     asked: NDArray[np.bool_],
 ) -> Array:
-    """(draws, h) as `_costs`, of the signal of which each leaves most; of all that is asked where that is more."""
+    """(draws, h) like `_costs`, for the signal on which each leaves most; for all samples asked if that is more."""
     numbers, counts = np.unique(signals[asked], return_counts=True)
     parts: list[NDArray[np.bool_]] = [asked]
     parts += [signals == number for number in numbers[counts >= FEWEST]]
-    found = []
+    columns = []
     for r in residuals:
         here = max(parts, key=lambda part: float(np.mean(r[part] ** 2)))
-        found.append(_costs([r * here], folds, weights, here)[:, 0])
-    return np.column_stack(found)
+        columns.append(_costs([r * here], folds, weights, here)[:, 0])
+    return np.column_stack(columns)
 
 
 def _draws(folds: int) -> Array:
@@ -296,30 +296,30 @@ def _probabilities(
     Args:
         bare: the base alone.
         hypotheses: h of them.
-        costs: (d, 1 + h) floors left by the base and by each: what tells them apart.
-        worst: the same of each one's worst signal: what tells whether anything is left.
+        costs: (d, 1 + h) floors left by the base and by each, which decide between them.
+        worst: the same for each one's worst signal, which shows whether anything is left.
         curve: (d,) floors left by the best free curve.
         worth: independent samples.
     """
-    base, left = worst[:, 0], worst[:, 1:]
+    base, remaining = worst[:, 0], worst[:, 1:]
     if not len(hypotheses):
-        # As where something was tried and explains no more.
+        # As if something had been tried that explains no more.
         lacking = (
             _soft(np.log(np.maximum(base, 1e-12) / SETTINGS.healthy) - 2.0 * SETTINGS.width)
             if floor
             else np.zeros_like(base)
         )
-        return 1.0 - lacking, left, lacking
-    known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # for no form is exact
+        return 1.0 - lacking, remaining, lacking
+    known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # because no form is exact
     before = np.maximum(base, level)
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
-    # What fits as well with fewer values is the likelier for it (Schwarz 1978).
+    # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
     beyond_noise = np.maximum(before - 1.0, 0.0)
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
-    scores += np.log(np.maximum(_needed(hypotheses, base, left, beyond_noise, kept, floor), 1e-300))
-    # A value far from what is stated is evidence as a misfit is.
+    scores += np.log(np.maximum(_needed(hypotheses, base, remaining, beyond_noise, kept, floor), 1e-300))
+    # A value far from the stated one counts as evidence like a misfit.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
     alone = -0.5 * worth * _surprise(costs[:, 0] / known) - 0.5 * bare.strain
     shares = np.exp(scores - scores.max(axis=1, keepdims=True))
@@ -329,13 +329,13 @@ def _probabilities(
         others = top + np.log(np.exp(scores - top[:, None]).sum(axis=1))
         none = 1.0 / (1.0 + np.exp(np.clip(others - alone, -700.0, 700.0)))
         return none, shares * (1.0 - none)[:, None], np.zeros_like(none)
-    best = left.min(axis=1)
+    best = remaining.min(axis=1)
     gain = np.log(np.maximum(base, 1e-12) / np.maximum(np.minimum(best, curve), 1e-12)) - 2.0 * SETTINGS.width
     allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     formed = np.maximum(kept * np.maximum(base - 1.0, 0.0)[:, None], np.maximum(level - 1.0, 0.0))
-    beyond = _soft(np.log(np.maximum(left, 1e-12) / (SETTINGS.healthy + SETTINGS.form * formed)))
-    excess = (left - curve[:, None]) / _curve_room(before, curve)[:, None]
+    beyond = _soft(np.log(np.maximum(remaining, 1e-12) / (SETTINGS.healthy + SETTINGS.form * formed)))
+    excess = (remaining - curve[:, None]) / _curve_room(before, curve)[:, None]
     formless = _soft(np.log(np.maximum(excess, 1e-12)))
     explained = (1.0 - beyond) * (1.0 - formless)
     named = shares * explained * (1.0 - none)[:, None]
@@ -352,14 +352,14 @@ def _needed(
 ) -> Array:
     """(d, h) how far each hypothesis explains materially more than each of those that it contains, or the base.
 
-    Where a floor says what is missing, an effect that takes away none of it is as good as something unknown, and many
-    such must not outweigh the one that does. Without a floor one effect is weighed against another.
+    If the floor shows how much is missing, an effect that explains none of it is no better than something unknown, and
+    many of these must not outweigh the one that does. Without a floor, effects are compared with one another.
 
     Args:
         misfit: (d,) floors beyond the noise.
         kept: (h,) share of them by which the form of each hypothesis counts.
     """
-    found = np.ones_like(costs)
+    needed = np.ones_like(costs)
     sets = [frozenset(h.refit.effects) for h in hypotheses]
     for i, h in enumerate(hypotheses):
         smaller = [j for j, other in enumerate(sets) if other < sets[i] or other in h.contains]
@@ -368,12 +368,12 @@ def _needed(
         simpler = [(costs[:, j], kept[j]) for j in smaller] or [(base, 1.0)]
         for cost, share in simpler:
             least = np.maximum(SETTINGS.material, SETTINGS.share * share * misfit)
-            found[:, i] = np.minimum(found[:, i], _soft(np.log(np.maximum(cost - costs[:, i], 1e-12) / least)))
-    return found
+            needed[:, i] = np.minimum(needed[:, i], _soft(np.log(np.maximum(cost - costs[:, i], 1e-12) / least)))
+    return needed
 
 
 def _curve_room(base: Array | float, curve: Array | float) -> Array:
-    """Floors by which a named effect may stay behind a free curve."""
+    """Floors by which a named effect may be worse than a free curve."""
     return np.maximum(SETTINGS.material, SETTINGS.curve * np.maximum(np.asarray(base) - np.asarray(curve), 0.0))
 
 
@@ -388,18 +388,18 @@ def joint(axes: Sequence[Mapping[str, float]]) -> dict[str, float]:
     Args:
         axes: name of a set of effects, "none" or "unknown" -> probability, for each axis; each sums to 1.
     """
-    found: dict[frozenset[str], float] = {frozenset(): 1.0}
+    sets: dict[frozenset[str], float] = {frozenset(): 1.0}
     unknown = 0.0
     for axis in axes:
         longer: dict[frozenset[str], float] = {}
-        unknown += sum(found.values()) * axis.get(UNKNOWN, 0.0)
-        for names, p in found.items():
+        unknown += sum(sets.values()) * axis.get(UNKNOWN, 0.0)
+        for names, p in sets.items():
             for name, q in axis.items():
                 if name != UNKNOWN:
                     more = names if name == NONE else names | frozenset(name.split(" + "))
                     longer[more] = longer.get(more, 0.0) + p * q
-        found = longer
-    named = {name_of(sorted(names)): p for names, p in found.items()}
+        sets = longer
+    named = {name_of(sorted(names)): p for names, p in sets.items()}
     listed = {name: p for name, p in named.items() if p >= LEAST or name == NONE}
     listed[UNKNOWN] = unknown
     total = sum(listed.values())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What trials differ by, for that speaks too: no effect of a library changes from trial to trial by itself.
+"""How trials differ from one another: no effect of a library changes from trial to trial by itself.
 
-A rig that drifts puts each trial beyond the one before; a rig whose commands or samples come at uneven times differs
-where it moves fast. Both widen the noise floor until a wrong model looks complete.
+On a rig that drifts each trial lies beyond the one before; if commands or samples come at uneven times, trials differ
+where the motion is fast. Both widen the noise floor until a wrong model looks complete.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,13 @@ from scipy.optimize import nnls
 
 from labyrinth_sim.trials import Array, Trials
 
-TRIALS_OF_A_DRIFT = 4  # trials, for a drift; of three, every third set goes one way by chance
+TRIALS_OF_A_DRIFT = 4  # trials, for a drift; every third set of three goes one way by chance
 STEADY_SLOPE = 6.0  # slope over its standard error, of a drift
 BEYOND_NOISE = 10.0  # times what the sensors' noise alone would let the trials' means differ by
 SHARE = 0.4  # of the differences between trials, and
 FOLLOWS = 0.6  # correlation with the squared speed, of uneven timing
 SMOOTH = 9  # samples
-OUT_OF_STEP = 12**-0.5  # samples: deviation of what happens at any time within one, as where a loop waits for the next
+OUT_OF_STEP = 12**-0.5  # samples: deviation of an event at a random time within one, as when a loop waits for the next
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Repeats:
     Attributes:
         signal, unit: which.
         drift: of the trials' means, from the first trial to the last, in the signal's unit; 0 where they scatter.
-        jitter: s, deviation of the timing within trials that would explain the differences; 0 where it does not,
-            or where a loop out of step would do.
+        jitter: s, deviation of the timing within trials that would explain the differences; 0 if it does not,
+            or if loops out of step would explain them.
     """
 
     signal: str
@@ -41,7 +41,7 @@ class Repeats:
 
     @property
     def sentence(self) -> str:
-        """What was found, in words; empty where the trials repeat."""
+        """The finding in words; empty if the trials repeat."""
         if self.drift:
             return (
                 f"{self.signal} drifts from trial to trial, by {self.drift:+.2g} {self.unit} in all: something changes "
@@ -50,7 +50,7 @@ class Repeats:
         if self.jitter:
             return (
                 f"{self.signal} differs between trials where it moves fast, as if commands or samples came "
-                f"{1e3 * self.jitter:.0f} ms early or late. Look at the load of the computer and of the bus."
+                f"{1e3 * self.jitter:.0f} ms early or late. Check the load of the computer and of the bus."
             )
         return ""
 
@@ -76,17 +76,17 @@ def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
 
 
 def _whole(rest: Array, speed: Array, step: float) -> Array:
-    """What each trial differs by for being early or late as a whole, by half a sample at most.
+    """How much each trial differs because it is early or late as a whole, by half a sample at most.
 
-    Player, bus, servo and recorder each go round in a loop of their own, and where in its round the first command finds
-    each is chance.
+    Player, bus, servo and recorder each run their own loop, and the phase at which the first command meets each is
+    random.
     """
     early = rest @ speed / max(float(speed @ speed), 1e-300)
     return np.clip(early, -0.5 * step, 0.5 * step)[:, None] * speed
 
 
 def _drift(offsets: Array, rest: Array) -> float:
-    """(p,) means of trials that go steadily one way, from first to last; 0 where they do not."""
+    """Change of the trials' means (p,) from first to last if they go steadily one way; 0 if they do not."""
     at = np.arange(len(offsets)) - 0.5 * (len(offsets) - 1)
     slope = float(offsets @ at / (at @ at))
     scatter = np.sqrt(np.sum((offsets - slope * at) ** 2) / (len(offsets) - 2) / (at @ at))

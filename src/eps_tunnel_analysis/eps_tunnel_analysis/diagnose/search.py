@@ -24,26 +24,26 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 DIFFERENCE = 1e-3  # finite differences to begin with, normalised
-RESPONSE = 0.5  # noise floors by which they then change the residuals: seen beside the roughness of stiction and ticks
+RESPONSE = 0.5  # noise floors by which they then change the residuals: visible over the roughness of stiction and ticks
 TOLERANCE = 2e-3  # relative gain of a round below which a descent rests
 AT_ONCE = 256  # roll-outs of one batch of trial points
 FEW_STARTS = 20
-SHORTLIST = 5  # sets of effects refitted from their trial points; so many are never given up
+SHORTLIST = 5  # sets of effects refitted from their trial points; this many are never given up
 FIRST_ROUNDS = 3  # after which the hopeless are given up
 SCAN = 24  # values tried around a tick, and again around the best of them; the first within
 SCANNED = 0.15  # of it; and around a value whose misfit is rough, of its span
 LEAST_JUDGED = 2
-OUT_OF_REACH = 5.0  # times the best cost: no exact step brings that down
+OUT_OF_REACH = 5.0  # times the best cost: the correction by the exact step cannot make up for that
 FINE_ROUNDS = 5  # of descent at the fine step, for those that are judged
 OWN_ROUNDS = 4  # of descent at the model's own steps, in the end
 VALLEY_ROUNDS = 10  # of descents from further away
-AWAY = (0.4, 0.8)  # spans from where a refit ended that other valleys are looked for, along what it determines least
+AWAY = (0.4, 0.8)  # spans from a refit at which other valleys are looked for, along the direction it determines least
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
-FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to be descended
-STANDS = 0.1  # floors by which half the step may change an answer that stands
+FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to fit
+STANDS = 0.1  # floors by which half the step may change an answer that is accurate enough
 UNFELT = 0.02  # floors
-STRAINED = 1.0  # sum of squares, of deviations from what is stated, from which a base strays
+STRAINED = 1.0  # sum of squared deviations from what is stated, above which a base counts as deviating
 FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
 SURELY = 2.0  # deviations by which ticks must agree
 MOST_AGREED = 0.9
@@ -68,8 +68,8 @@ class Refit:
         cost: mean square of the residuals.
         free: how many values were fitted.
         converged: no set that it contains fits better.
-        held: what is added to the cost for values far from what is stated, as a descent weighs it.
-        steps: (K,) finite differences, normalised, that suit it; None for those to begin with.
+        held: what a descent adds to the cost for values far from what is stated.
+        steps: (K,) finite differences, normalised, that suit it; None for the initial ones.
     """
 
     effects: tuple[str, ...]
@@ -83,7 +83,7 @@ class Refit:
 
     @property
     def objective(self) -> float:
-        """What a descent makes small."""
+        """What a descent minimises."""
         return self.cost + self.held
 
 
@@ -92,7 +92,7 @@ class TrialPoint:
     """A candidate at (K,) values.
 
     Attributes:
-        promised: the cost with as much of its change as helps, to first order.
+        promised: the lowest cost with a share of its change, to first order.
         on: which of the refits it was tried on top of.
     """
 
@@ -116,9 +116,9 @@ class Search:
     """Roll-outs of a library of candidates, in units of the noise floor.
 
     Args:
-        levels: over the library's model and all of its names. The coarse one searches and gives slopes, by the fine one
-            refits are judged; the exact one has the drives' ticks, too, and is the fine one where there are none. Where
-            there is one, the own level makes the steps that the model makes elsewhere.
+        levels: over the library's model and all of its names. The coarse one searches and gives slopes; the fine
+            one judges refits; the exact one also has the drives' ticks, and is the fine one if there are none. The own
+            level, if there is one, has the model's own steps.
         scale: (n,) the noise floor at each of the evidence's samples.
         used: (R,) which of the evidence's samples are compared.
         progress: called with the number of roll-outs so far.
@@ -146,7 +146,7 @@ class Search:
         self.scale = self._noise = scale[used]
         self.evaluations = 0
         self.progress = progress
-        self._shift = np.zeros(len(used))  # what the coarse step gets wrong, near where the search is
+        self._shift = np.zeros(len(used))  # error of the coarse step, near where the search is
         self._column = {name: i for i, name in enumerate(library.names)}
         #: (K,) large changes of the values, of which the search moves them by shares
         self.spans = np.array([infos[name].span for name in library.names])
@@ -159,7 +159,7 @@ class Search:
         base = np.arange(len(library.base) - library.rough, len(library.base))
         span = self.spans[base]
         self._spread = SETTINGS.rough * np.where(self.start[base] != 0.0, np.abs(self.start[base]), span)
-        # Beyond that it would stand in for an effect; `doubts` tells where it should.
+        # Beyond that it would stand in for an effect; `doubts` reports values that are further off.
         self.low[base] = np.maximum(self.low[base], self.start[base] - FARTHEST * self._spread)
         self.high[base] = np.minimum(self.high[base], self.start[base] + FARTHEST * self._spread)
         span = self.spans[base] = (self.high - self.low)[base]
@@ -169,7 +169,7 @@ class Search:
         driven = {name.split(".")[1] for name in library.base if name.startswith("drive.")}
         self._finest = FINEST * max(1, len(driven))
         self._valleys: dict[tuple[tuple[str, ...], bytes], tuple[Refit, ...]] = {}
-        self._idle = np.zeros(len(self.start), dtype=bool)  # base values that the recordings do not feel
+        self._idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
         """(n, K) values to (n, R) residuals in units of the noise floor."""
@@ -190,8 +190,8 @@ class Search:
     def see_ticks(self, values: Array, agreement: Array | None = None) -> None:
         """Adds to the noise what the drives' own ticks do to the motion at these values (K,).
 
-        Within one a drive stops anywhere. As long as nothing is known of the phases at which the model's ticks and the
-        rig's lie, each of the two moves the motion by that much.
+        Within one a drive stops anywhere. As long as the phases of the model's ticks and of the rig's are unknown, each
+        of the two moves the motion by that much.
 
         Args:
             agreement: for each signal the share of what the model's ticks do to it that the rig's do as well.
@@ -213,13 +213,13 @@ class Search:
     def ticks_agree(self, refit: Refit) -> Array:
         """For each signal the share of what the model's ticks do to it at a refit that the rig's do as well.
 
-        It is told as far as it is sure, from stretches of time that are drawn as one, and never all of it, for a rig's
-        ticks are shaken by its noise.
+        A lower bound, from stretches of time that are taken as independent, and never all of it, because noise shakes a
+        rig's ticks.
         """
-        found, folds = np.zeros(len(self.evidence.signals)), self.folds
+        shares, folds = np.zeros(len(self.evidence.signals)), self.folds
         moved = self._by_ticks(refit.values)
         if moved is None:
-            return found
+            return shares
         moved = moved / self.scale
         smooth = self.residuals(refit.values[None], "exact")[0] - moved
         for number in np.unique(self.signal):
@@ -228,8 +228,8 @@ class Search:
             if size.sum() > 0.0:
                 share = along.sum() / size.sum()
                 deviation = float(np.sqrt(np.sum((along - share * size) ** 2))) / size.sum()
-                found[number] = np.clip(share - SURELY * deviation, 0.0, MOST_AGREED)
-        return found
+                shares[number] = np.clip(share - SURELY * deviation, 0.0, MOST_AGREED)
+        return shares
 
     def _by_ticks(self, values: Array) -> Array | None:
         """(R,) by which the drives' ticks move the signals at these values (K,), in their units; None without ticks."""
@@ -241,12 +241,12 @@ class Search:
         return np.asarray(np.nan_to_num(both[0] - both[1]))
 
     def settle_start(self, refit: Refit, joints: Sequence[Sequence[str]]) -> None:
-        """Moves the pose in which each play starts to where a refit says that it was, as far as its sensors allow.
+        """Moves the pose in which each play starts to where a refit puts it, as far as its sensors allow.
 
-        A first sample is as coarse as any other, and what rests by stiction goes on from there for long.
+        A first sample is as coarse as any other, and a joint held by stiction keeps that error for long.
 
         Args:
-            joints: for each joint the signals that measure its position, the finest first.
+            joints: for each joint the signals that measure its position, finest first.
         """
         exact = self.levels["exact"]
         plays = range(len(exact.plays))
@@ -259,23 +259,23 @@ class Search:
             self.evaluations += 1
         own = self.blocks // len(exact.signals)
         less = SETTINGS.correlated * max(refit.cost, 1.0)  # samples are worth less, the more where something is missing
-        found = []
+        shifts = []
         for play in plays:
             at = own == play
             change = np.column_stack([slope[at] for slope in slopes])
             normal = change.T @ change / less + np.eye(len(joints))
             by = np.clip(np.linalg.solve(normal, -change.T @ here[at] / less), -FARTHEST, FARTHEST) * noise[play]
-            found.append({name: float(b) for names, b in zip(joints, by, strict=True) for name in names})
-        self.levels = {level: evidence.started(found) for level, evidence in self.levels.items()}
+            shifts.append({name: float(b) for names, b in zip(joints, by, strict=True) for name in names})
+        self.levels = {level: evidence.started(shifts) for level, evidence in self.levels.items()}
         self.evidence = self.levels["coarse"]
 
     def settle_at(self, refit: Refit) -> None:
-        """Corrects coarse roll-outs by what the exact step says at a refit."""
+        """Corrects coarse roll-outs by the exact ones at a refit."""
         self._shift = self._shift + refit.residuals - self.residuals(refit.values[None])[0]
 
     def feel(self, refit: Refit) -> None:
-        """Leaves out of all refits to come what is known roughly, and of which a change by what is expected of it does
-        not show.
+        """Excludes from all later refits the roughly known values whose expected deviation does not show in the
+        residuals.
         """
         base = np.arange(len(self.library.base) - self.library.rough, len(self.library.base))
         points = np.tile(refit.values, (2 * len(base), 1))
@@ -286,7 +286,7 @@ class Search:
         self._idle[base] = shows < UNFELT
 
     def refine_at(self, values: Array) -> bool:
-        """Halves the steps by which refits are judged until at these values (K,) the answer stands; whether it did."""
+        """Halves the steps of the judging levels until the answer at these values (K,) is accurate; whether any was."""
         shorter = False
         asked: tuple[tuple[Level, bool], ...] = ("fine", self.levels["fine"].extrapolate), ("exact", self._corrected)
         for level in (level for level, wanted in asked if wanted):
@@ -295,10 +295,10 @@ class Search:
                 finer = self.levels[level].finer()
                 there = finer(values[None])[0, self.used] / self.scale
                 self.evaluations += 1
-                left, changed = self._worst(here), float(np.mean((there - here) ** 2))
+                remaining, changed = self._worst(here), float(np.mean((there - here) ** 2))
                 if self.levels[level].extrapolate:  # contacts and ticks change what is left by chance
-                    changed = max(changed, abs(self._worst(there) - left))
-                if changed <= max(STANDS, SETTINGS.form * left):
+                    changed = max(changed, abs(self._worst(there) - remaining))
+                if changed <= max(STANDS, SETTINGS.form * remaining):
                     break
                 self.levels[level], here, shorter = finer, there, True
         if not self._corrected:
@@ -311,14 +311,14 @@ class Search:
         return float(sums.max())
 
     def as_stated(self) -> "Search":
-        """The same, moving none of the base values of which the model states what is expected."""
+        """The same, with the base values fixed for which the model states an expectation."""
         other = copy(self)
         other._idle = self._idle | (self.firmness > 0.0)
         return other
 
     def beside_stated(self, refits: Sequence[Refit], rounds: int, level: Level = "coarse") -> list[Array]:
-        """(K,) values of those refits whose base strays from what the model states, fitted anew from there and held
-        there where an expectation is stated.
+        """(K,) values of those refits whose base deviates from what the model states, fitted again from the stated
+        values, with those held for which an expectation is stated.
         """
         size = len(self.library.base)
         jobs = [
@@ -327,16 +327,16 @@ class Search:
             if self.strain(r.values) >= STRAINED
         ]
         firm = self.as_stated()
-        found = firm.refit(jobs, rounds, level)
+        from_stated = firm.refit(jobs, rounds, level)
         self.evaluations = firm.evaluations
-        return [r.values for r in found]
+        return [r.values for r in from_stated]
 
     def columns(self, candidate: Candidate) -> list[int]:
-        """Where the library's values hold a candidate's."""
+        """Columns of a candidate's values among the library's."""
         return [self._column[name] for name in candidate.parameters]
 
     def fitted(self, refit: Refit) -> list[int]:
-        """Where the library's values hold those that a refit fits, the base's first."""
+        """Columns of the values that a refit fits among the library's, the base's first."""
         names = list(self.library.base)
         for name in refit.effects:
             names += self.library.find(name).parameters
@@ -424,24 +424,24 @@ class Search:
         return best
 
     def as_run(self, refit: Refit) -> Refit:
-        """A refit with its values fitted to the steps that the model makes elsewhere, and to what those get wrong."""
+        """A refit with its values fitted at the model's own steps, so that they allow for these steps' error."""
         if "own" not in self.levels:
             return refit
         return self.refit([(self._candidates(refit), refit.values)], OWN_ROUNDS, "own")[0]
 
     def valleys(self, refit: Refit) -> tuple[Refit, ...]:
-        """A refit as it runs elsewhere, and those of the same effects in other valleys of the misfit, best first.
+        """A refit at the model's own steps, and those of the same effects in other valleys of the misfit, best first.
 
-        Values that stand in for one another, as P, D and delay do, may fit as well far from where a descent ended.
+        Values that can compensate for one another, such as P, D and delay, may fit as well far from a descent's end.
         """
         key = (refit.effects, refit.values.tobytes())
         if key not in self._valleys:
             here, starts = self.as_run(refit), self._along_weakest(refit)
-            found = [here]
+            refits = [here]
             if "own" in self.levels:
                 starts += self.beside_stated([refit], VALLEY_ROUNDS, "own")
-                found += self.refit([(self._candidates(refit), point) for point in starts], VALLEY_ROUNDS, "own")
-            self._valleys[key] = tuple(sorted(found, key=lambda r: r.objective))
+                refits += self.refit([(self._candidates(refit), point) for point in starts], VALLEY_ROUNDS, "own")
+            self._valleys[key] = tuple(sorted(refits, key=lambda r: r.objective))
         return self._valleys[key]
 
     def _along_weakest(self, refit: Refit) -> list[Array]:
@@ -481,15 +481,15 @@ class Search:
         return self.refit(jobs, FIRST_ROUNDS)
 
     def _looked_around(self, refits: Sequence[Refit]) -> list[Refit]:
-        """Refits at the best of values around each one's rough ones, of whose misfit a slope says little."""
-        found = []
+        """Refits at the best of values around each one's rough ones, for which the misfit's slope says little."""
+        best_refits = []
         for refit in refits:
             for column in (i for c in self._candidates(refit) if is_rough(c) for i in self.columns(c)):
                 reach = SCANNED * self.spans[column]
                 scanned = refit.values[column] + np.linspace(-reach, reach, SCAN)
                 best, residuals = self._best_of_column(refit.values, column, scanned, "exact")
-                found.append(_with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
-        return found
+                best_refits.append(_with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
+        return best_refits
 
     def _best_of_column(
         self, values: Array, column: int, scanned: Array, level: Level = "coarse"
@@ -502,7 +502,7 @@ class Search:
         return around[best], residuals[best]
 
     def trial_points(self, refits: Sequence[Refit], candidates: Sequence[Candidate]) -> list[TrialPoint]:
-        """Every start of every candidate on top of each refit, by what it promises, best first.
+        """Every start of every candidate on top of each refit, by promised cost, best first.
 
         On top of refits after the first, candidates with many starts are left out.
         """
@@ -527,8 +527,8 @@ class Search:
                 answers = np.pad(answers, ((0, 0), (0, more)))
                 change = answers - (answers @ basis) @ basis.T - here
                 share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
-                left = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
-                batch = zip(pending[low : low + AT_ONCE], left, strict=True)
+                remaining = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
+                batch = zip(pending[low : low + AT_ONCE], remaining, strict=True)
                 points += [TrialPoint(c, v, float(p), number) for (c, v), p in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
@@ -563,8 +563,8 @@ class Search:
 
     def changes(self, refit: Refit) -> Array:
         """(R, k) by which each value that `moved` moves changes residuals."""
-        found: Array = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
-        return found
+        changes: Array = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
+        return changes
 
     def jacobian(self, refit: Refit) -> Array:
         """(R, k) of a refit's residuals by its fitted values, each in shares of its span."""

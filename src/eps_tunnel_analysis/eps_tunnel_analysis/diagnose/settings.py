@@ -15,22 +15,22 @@ class DiagnosisSettings:
     timing: s, by which one trial's motion may be early or late. Derived: the deviation of what happens at any time
         within the period of a firmware's loop of 1 kHz, each trial at a phase of its own.
     rough: share of a stated value, or of its bounds' span where 0 is stated, within which a value that is known roughly
-        is expected (standard deviation). Chosen: what data sheets of servos are off by.
-    loose: share of a stated value within which the free ones are expected of which a data sheet gives the order of
-        magnitude (standard deviation). Chosen: twice what one winding is off by another of the same servo.
-    correlated: samples that one of a motion's residuals is worth less than an independent one, against which that
-        expectation is weighed. Measured: 10 to 30 on tuning rigs.
-    healthy: floors of the worst signal; more than this is missing something if an effect explains it, and two widths
-        more if none does. Chosen: between what a healthy rig of other physics than the
+        is expected (standard deviation). Chosen: the usual error of servos' data sheets.
+    loose: share of a stated value within which those free values are expected whose order of magnitude a data sheet
+        gives (standard deviation). Chosen: twice the difference between two windings of the same servo.
+    correlated: how many correlated residuals of a motion are worth one independent sample, when they are weighed
+        against that expectation. Measured: 10 to 30 on tuning rigs.
+    healthy: floors of the worst signal; above this something is missing if an effect explains it, and above two
+        widths more if none does. Chosen: between what a healthy rig of other physics than the
         model's leaves (1.0 to 1.4) and what counts as visible (3).
-    form: share of the base's misfit that the right effect may leave, for nobody's form of it is exact. Measured on
+    form: share of the base's misfit that the right effect may leave, because no form of it is exact. Measured on
         tuning rigs: right forms leave up to 4 %, wrong ones 8 % and more.
-    material: floors that an effect must explain, at least, to be told. Chosen: a third of what is visible.
-    exact: the part of `form` and `share` that is kept for effects that nature has in one form. Chosen: what steps and
-        stamps leave of a delay.
-    share: of the base's misfit that one more effect must explain. Chosen as `form`, for less may be the first's form.
+    material: floors that an effect must explain, at least, to be named. Chosen: a third of what is visible.
+    exact: the part of `form` and `share` that is kept for effects that occur in one form only. Chosen: what steps
+        and stamps leave of a delay.
+    share: of the base's misfit that one more effect must explain. Chosen as `form`, as less may be the first's form.
     curve: share of what a free curve explains that the named effect may miss. Measured as `form`, with room for what a
-        curve fits besides.
+        curve fits in addition.
     width: of the soft transitions of the above, in logarithms. Chosen: a factor of 1.35 takes odds from 1:10 to 10:1.
     odd: probability that something unknown is missing where trials drift. Chosen.
     coverage: of the stated set.

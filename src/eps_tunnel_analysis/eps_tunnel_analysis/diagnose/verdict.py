@@ -35,7 +35,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class PlayError:
-    """One recording: its name, whether it was kept from the fit, and the error of one model on it (rad)."""
+    """One recording: its name, whether it was held out of the fit, and the error of one model on it (rad)."""
 
     name: str
     held_out: bool
@@ -49,7 +49,7 @@ class AxisVerdict:
 
     Attributes:
         marginals: effect -> probability that it is missing, whatever else is.
-        none, unknown: probability that nothing is, and that something is which no effect explains.
+        none, unknown: probability that nothing is missing, and that something is that no effect explains.
         explained: hypothesis -> share of the misfit beyond the noise that it takes away, with a 90 % interval.
         remaining: signal -> mean square left by what is named, in units of the noise floor: 1 is noise.
         floors: the same over all signals, before and after what is named.
@@ -70,7 +70,7 @@ class AxisVerdict:
 @shown
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis says.
+    """The result of a diagnosis.
 
     Attributes:
         verdict: "complete", "effect", "undecided" or "unknown".
@@ -83,9 +83,9 @@ class Verdict:
         given, before, after: errors of the model as given, with its values refitted, and with the effects added.
         ball: the same three of the ball, where it was seen.
         plays: the same three for each recording.
-        rig_against_itself: alikeness of one trial in the tunnel of the others, mean over the trials; NaN of one alone.
-        axes: what is said of each axis by itself.
-        values: what the effects' and the base's parameters came out as.
+        rig_against_itself: alikeness of one trial in the tunnel of the others, mean over the trials; NaN for only one.
+        axes: the verdict on each axis by itself.
+        values: the fitted parameters of the effects and the base.
         next_experiment: name of the sequence to play next, None where there is nothing to decide.
         notes: what could not be known, one sentence each.
     """
@@ -114,12 +114,12 @@ class Verdict:
     @property
     def ranking(self) -> dict[str, tuple[Ranked, ...]]:
         """By axis."""
-        return {axis: found.ranking for axis, found in self.axes.items()}
+        return {axis: verdict.ranking for axis, verdict in self.axes.items()}
 
     @property
     def floor(self) -> dict[str, tuple[float, float]]:
         """Mean square of each axis's residuals in units of the noise floor, before and after."""
-        return {axis: found.floors for axis, found in self.axes.items()}
+        return {axis: verdict.floors for axis, verdict in self.axes.items()}
 
     def to_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers and words; NaN becomes None."""
@@ -130,7 +130,7 @@ class Verdict:
             "stated_set": list(self.stated),
             "coverage": self.coverage,
             "sentence": self.sentence,
-            "axes": {axis: _axis_json(found) for axis, found in self.axes.items()},
+            "axes": {axis: _axis_json(verdict) for axis, verdict in self.axes.items()},
             "where": [asdict(span) for span in self.where],
             "error_as_given": self.given.error,
             "error_before": self.before.error,
@@ -154,22 +154,22 @@ class Verdict:
             "evaluations": self.evaluations,
             "seconds": self.seconds,
         }
-        found: dict[str, Any] = plain(content)
-        return found
+        result: dict[str, Any] = plain(content)
+        return result
 
 
-def _axis_json(found: AxisVerdict) -> dict[str, Any]:
+def _axis_json(verdict: AxisVerdict) -> dict[str, Any]:
     return {
-        "marginals": {**found.marginals, NONE: found.none, UNKNOWN: found.unknown},
-        "explained": {name: {"share": s, "interval": [a, b]} for name, (s, a, b) in found.explained.items()},
-        "remaining": dict(found.remaining),
-        "floors": list(found.floors),
-        "not_converged": list(found.not_converged),
+        "marginals": {**verdict.marginals, NONE: verdict.none, UNKNOWN: verdict.unknown},
+        "explained": {name: {"share": s, "interval": [a, b]} for name, (s, a, b) in verdict.explained.items()},
+        "remaining": dict(verdict.remaining),
+        "floors": list(verdict.floors),
+        "not_converged": list(verdict.not_converged),
     }
 
 
 def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, tuple[str, ...], tuple[str, ...]]:
-    """What to say of these probabilities: the verdict, the effects named, and the stated set."""
+    """The verdict from these probabilities, the effects named, and the stated set."""
     stated = smallest_set(probabilities, coverage)
     first = stated[0]
     named = tuple(first.split(" + ")) if first not in (NONE, UNKNOWN) else ()
@@ -196,8 +196,8 @@ def sentence(
     """
     if kind == "complete" and not floor:
         return (
-            f"No effect of the library explains more ({percent(probabilities[NONE])}); whether what is left is noise, "
-            "one trial does not tell."
+            f"No effect of the library explains more ({percent(probabilities[NONE])}); one trial cannot show whether "
+            "what is left is noise."
         )
     if kind == "complete":
         return f"Nothing is missing within the noise ({percent(probabilities[NONE])})."
@@ -208,21 +208,21 @@ def sentence(
         start = f"Something is missing that no known effect explains in full ({percent(probabilities[UNKNOWN])})."
     else:
         start = undecided([f"{_hypothesis(name, registry)} ({percent(probabilities[name])})" for name in stated])
-    return " ".join([start, *(text for axis, found in axes.items() if (text := _part(axis, found, registry)))])
+    return " ".join([start, *(text for axis, verdict in axes.items() if (text := _part(axis, verdict, registry)))])
 
 
-def _part(axis: str, found: AxisVerdict, registry: Registry) -> str:
-    """What is clear of one axis by itself; empty where nothing is."""
-    before, _ = found.floors
-    clear = [name for name, p in found.marginals.items() if p >= CLEAR]
+def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
+    """What is clear about one axis by itself; empty if nothing is."""
+    before, _ = verdict.floors
+    clear = [name for name, p in verdict.marginals.items() if p >= CLEAR]
     if clear:
-        share = found.explained.get(" + ".join(sorted(clear)), found.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
-        named = " and ".join(f"{in_words(name, registry)} ({percent(found.marginals[name])})" for name in clear)
+        share = verdict.explained.get(" + ".join(sorted(clear)), verdict.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
+        named = " and ".join(f"{in_words(name, registry)} ({percent(verdict.marginals[name])})" for name in clear)
         return f"{named[0].upper()}{named[1:]} explains {share:.0%} of what the model leaves there."
-    most = max(found.explained.items(), key=lambda item: item[1][0], default=None)
-    if found.unknown > 0.5 and most and most[1][0] >= WORTH_TELLING:
+    most = max(verdict.explained.items(), key=lambda item: item[1][0], default=None)
+    if verdict.unknown > 0.5 and most and most[1][0] >= WORTH_TELLING:
         return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {shown_number(before)} floors."
-    if found.none >= CLEAR:
+    if verdict.none >= CLEAR:
         return f"Nothing is missing on {axis}, {shown_number(before, 2)} floors."
     return f"On {axis} {shown_number(before)} floors remain."
 
@@ -238,7 +238,7 @@ def percent(probability: float) -> str:
 
 
 def in_words(name: str, registry: Registry) -> str:
-    """A candidate as people say it: "backlash on x"."""
+    """A candidate in words: "backlash on x"."""
     effect, _, place = name.partition(".")
     title = registry.effects[effect].title if effect in registry.effects else effect
     words = title if title.startswith(NAMES) else f"{title[0].lower()}{title[1:]}"

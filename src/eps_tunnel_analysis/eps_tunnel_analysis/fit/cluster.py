@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same work on a Dask cluster: the rows of a batch shared out among its workers, or one task each.
+"""Work on a Dask cluster: the rows of a batch distributed among its workers, or one task per item.
 
 Workers need this software and the rig's files at the same paths. An evaluation is a pure function of its values, so
-where it runs, in what company, and how often (a worker that dies has its share done again) changes no bit.
+where it runs, with which other rows, and how often (the share of a worker that dies is repeated) changes no bit.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -16,10 +16,10 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array
 
 ROWS_EACH = 8  # rows of a batch that a worker gets at least; fewer would be all overhead
-RETRIES = 5  # deaths of a worker over one share before it is given up
+RETRIES = 5  # workers that may die over one share before it is given up
 CONNECT_S = 20.0
 Spread = Callable[[Residuals], Residuals]
-"""Makes of a residual function one that gives the same, and has its rows done elsewhere."""
+"""Turns a residual function into an equivalent one whose rows are evaluated elsewhere."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -39,7 +39,7 @@ def connected(address: str, timeout: float = CONNECT_S) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError("--scheduler needs the package 'distributed'; install what requirements.txt names.") from error
+        raise InputError("--scheduler needs the package 'distributed'; install those of requirements.txt.") from error
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -58,7 +58,7 @@ def connected(address: str, timeout: float = CONNECT_S) -> Iterator[Any]:
 
 @contextmanager
 def cluster(address: str, timeout: float = CONNECT_S) -> Iterator[Spread]:
-    """Connects to a scheduler; gives what turns a residual function into one whose work is done there.
+    """Connects to a scheduler; gives a wrapper that turns a residual function into one evaluated there.
 
     Args, Raises: as `connected`.
     """
@@ -71,7 +71,7 @@ def cluster(address: str, timeout: float = CONNECT_S) -> Iterator[Spread]:
 
 
 def each(client: Any, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """What `work` makes of each item, one task each, in the order in which they are done."""
+    """The result of `work` for each item, one task each, in order of completion."""
     from distributed import as_completed
 
     futures = client.map(work, list(items), retries=RETRIES, pure=False)
@@ -81,7 +81,7 @@ def each(client: Any, work: Callable[[Item], Result], items: Iterable[Item]) -> 
 
 
 class _Spread:
-    """A residual function whose rows are shared out among the workers."""
+    """A residual function whose rows are distributed among the workers."""
 
     def __init__(self, client: Any, residuals: Residuals) -> None:
         self._client, self._residuals = client, residuals
@@ -90,7 +90,7 @@ class _Spread:
 
     def __call__(self, values: Array) -> Array:
         if len(values) < ROWS_EACH:
-            return self._residuals(values)  # done before it would have arrived
+            return self._residuals(values)  # faster here than sending it
         threads = max(1, sum(self._client.nthreads().values()))
         count = max(1, min(threads, -(-len(values) // ROWS_EACH)))
         futures = self._client.map(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finite differences within bounds, as every descent and every interval takes them."""
+"""Finite differences within bounds, for every descent and every interval."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from labyrinth_sim.trials import Array
 
 
 def steps_within(at: Array, steps: Array | float, low: Array | float, high: Array | float) -> Array:
-    """(k,) steps (k,) from values (k,), with their signs: downwards where only there is room, and no further."""
+    """(k,) steps (k,) from values (k,), signed: downwards where only there is room, and within the bounds."""
     above, below = high - at, at - low
     return np.where((steps <= above) | (above >= below), np.minimum(steps, above), -np.minimum(steps, below))
 
@@ -16,7 +16,7 @@ def steps_within(at: Array, steps: Array | float, low: Array | float, high: Arra
 def moved(
     z: Array, step: float | Array, columns: NDArray[np.int64] | None = None, width: Array | float = 1.0
 ) -> tuple[Array, Array]:
-    """Points to ask for a Jacobian.
+    """Points to evaluate for a Jacobian.
 
     Args:
         z: (K,) from 0 to width.

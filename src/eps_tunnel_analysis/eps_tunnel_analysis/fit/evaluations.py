@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands between an optimiser and the simulator: counts evaluations, keeps a journal, remembers the best.
+"""The layer between an optimiser and the simulator: counts evaluations, keeps a journal, remembers the best.
 
-A method is a deterministic function of its seed and of the answers it gets. So a run that broke off is resumed by
-running it anew and answering from the journal until that is used up: the same answer as an unbroken run, for every
-method alike.
+A method is a deterministic function of its seed and of the answers it gets. So an interrupted run is resumed by
+running it again and answering from the journal until that is used up: the result is that of an uninterrupted run, for
+every method.
 """
 
 import hashlib
@@ -33,7 +33,7 @@ def _digest(question: Array) -> bytes:
 class Journal:
     """Checkpoint of a fit: an append-only file of the simulator's answers, in the order asked.
 
-    A record cut short or torn by a crash is dropped at the next opening, and all behind it.
+    A record cut short or torn by a crash is dropped at the next opening, with everything after it.
 
     Args:
         path: the file; made if absent.
@@ -47,7 +47,7 @@ class Journal:
         self._next = 0
         whole = len(head)
         raw = path.read_bytes() if path.exists() else b""
-        if not head.startswith(raw):  # a shorter one broke off before its first answer
+        if not head.startswith(raw):  # a shorter one was interrupted before its first answer
             if raw[: len(head)] != head:
                 raise InputError(
                     f"{path} is a checkpoint of another run (other data, model, method or seed). "
@@ -120,7 +120,7 @@ class Improvement:
 
 
 class Evaluations:
-    """Evaluates batches of normalised values; keeps what every method needs kept.
+    """Evaluates batches of normalised values, and keeps the records that every method needs.
 
     Attributes:
         count: roll-out sets evaluated so far (one per parameter set; all commands count as one, as in the paper).
@@ -128,7 +128,7 @@ class Evaluations:
         best_fitness: its fitness.
         history: where the best improved.
         journal: remembers answers from run to run.
-        progress: told after each batch.
+        progress: called after each batch.
         limit: evaluations after which the next batch raises BudgetSpent; None for no limit.
     """
 
@@ -158,7 +158,7 @@ class Evaluations:
         return self._ask(question, answer, self.problem.fitness)
 
     def fitness(self, z: Array) -> Array:
-        """(n, k) normalised values to (n,) fitness. Journals one number a row instead of R."""
+        """(n, k) normalised values to (n,) fitness. Journals one number per row instead of R."""
         question = np.clip(np.atleast_2d(z), 0.0, 1.0)
 
         def answer() -> Array:
@@ -172,7 +172,7 @@ class Evaluations:
             raise BudgetSpent
         result = self.journal.recall(question) if self.journal else None
         if result is None:
-            # As a recalled one lies in memory: sums of another order differ in the last bit.
+            # In the memory order of a recalled one: sums in another order differ in the last bit.
             result = np.ascontiguousarray(answer(), dtype=np.float64)
             if self.journal:
                 self.journal.add(question, result)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the data pin the fitted values down: 95 % intervals and what cannot be told apart.
+"""How well the data determine the fitted values: 95 % intervals, and combinations that are not identifiable.
 
 Residuals of a roll-out are correlated in time, so the textbook covariance is far too narrow. In the sandwich estimator
 used here the residuals' autocovariance stands between the slopes, weighted by Bartlett's window within each unbroken
@@ -16,7 +16,7 @@ from scipy.stats import norm
 from labyrinth_sim.trials import Array
 
 CHI2_95 = 3.84  # quantile of chi-squared with one degree of freedom
-TRADE_OFF = 0.97  # correlation of two values from which they are told together: a quarter of either one's width is left
+TRADE_OFF = 0.97  # correlation from which two values are reported together: a quarter of either one's width is left
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Intervals:
 
 
 def unknown_intervals(k: int) -> Intervals:
-    """What is said of k values when nobody had the time to look."""
+    """Intervals of k values that were not computed."""
     nothing = np.full(k, np.nan)
     return Intervals(nothing, nothing, np.empty((0, k)), 0, np.full((k, k), np.nan))
 
@@ -122,18 +122,18 @@ def widened(found: Intervals, more: Array) -> Intervals:
 def trade_offs(
     found: Intervals, values: Array, span: Array, names: tuple[str, ...], shifts: Array | None = None
 ) -> list[str]:
-    """What is known of two values together where neither is known well by itself, one sentence for each such pair.
+    """What is known about two values together if neither is known well by itself, one sentence for each such pair.
 
     Args:
         values, span: (k,) of the fit and of the bounds, in the values' units.
         shifts: (n, k) by which what may be missing would have shifted them, normalised units; a combination that it
             shifts as much as the values is not known better.
     """
-    said: list[str] = []
+    sentences: list[str] = []
     covariance = found.covariance * np.outer(span, span)
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if not np.isfinite(covariance).all():
-        return said
+        return sentences
     for i, j in combinations(range(len(names)), 2):
         if size[i] * size[j] <= 0.0:
             continue
@@ -148,11 +148,11 @@ def trade_offs(
         if half > np.sqrt(1.0 - TRADE_OFF**2) * found.half_width[i] * span[i]:
             continue
         sign, both = "-" if share < 0.0 else "+", values[i] + share * values[j]
-        said.append(
+        sentences.append(
             f"{names[i]} and {names[j]} trade off: {names[i]} {sign} {abs(share):.3g} {names[j]} = {both:.4g} ± "
             f"{half:.2g} is known better than either."
         )
-    return said
+    return sentences
 
 
 def combination(direction: Array, names: tuple[str, ...], least: float = 0.2) -> str:

@@ -19,7 +19,7 @@ DAMPINGS = np.array([0.1, 1.0, 10.0])
 FIRST_DAMPING = 1e-2
 TRUST = 1e-12
 LEAST_DAMPED = 1e-3  # damping of the step whose gain the slopes promise
-LEAST_PROMISE = 10.0  # times the tolerance, for which slopes that led nowhere are taken again, by the simulator
+LEAST_PROMISE = 10.0  # times the tolerance: promising this much, slopes that led nowhere are taken by the simulator
 RESCALED = 10.0  # times by which a finite difference grows or shrinks from round to round, at most
 WIDER = 10.0  # times by which finite differences grow before a problem rests
 SMALLEST_STEP, LARGEST_STEP = 1e-6, 0.05  # finite differences, normalised
@@ -70,11 +70,11 @@ def descend(
         rounds: at most so many.
         difference: step of the finite differences, one for all or (K,), normalised.
         tolerance: relative gain below which a problem rests.
-        hopeless: told the costs (B,) after each round, says whom to stop early.
+        hopeless: called with the costs (B,) after each round, returns which problems to stop early.
         response: root mean square by which a finite difference is to change the residuals; each is adapted to that.
-            Too small a one sees the roughness that stiction and ticks give the misfit, and not its slope; a problem
-            that gets no further goes on with wider ones before it rests.
-        slopes: a cheaper simulator, whose slopes stand in for the simulator's until a problem gets no further by them.
+            Too small a one measures the misfit's roughness from stiction and ticks instead of its slope; a problem
+            that makes no progress continues with wider ones before it rests.
+        slopes: a cheaper simulator, whose slopes replace the simulator's until a problem makes no progress with them.
         width: of the box, one for all values or (K,).
     """
     z = np.array(starts, dtype=np.float64)
@@ -94,7 +94,7 @@ def descend(
     wide = np.ones(count)
 
     def stuck(b: int) -> None:
-        """Goes on with wider finite differences, or lets a problem rest that has them already."""
+        """Continues with wider finite differences, or lets a problem rest that already has these."""
         if response is None or wide[b] == WIDER:
             rest[b] = converged[b] = True
             return
@@ -119,8 +119,8 @@ def descend(
             jacobians |= fresh
             evaluations += used
             if response is not None:
-                for b, (found, columns) in fresh.items():
-                    steps[b, columns] = _adapted(steps[b, columns], found, response * wide[b])
+                for b, (jacobian, columns) in fresh.items():
+                    steps[b, columns] = _adapted(steps[b, columns], jacobian, response * wide[b])
         tried = np.repeat(active, len(DAMPINGS))
         factors = np.tile(DAMPINGS, len(active)) * damping[tried]
         proposals = np.array(
@@ -212,7 +212,7 @@ def _step(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], widt
         beyond = rest & ((step < low) | (step > high))
         if not beyond.any():
             break
-        # What would go too far stops at its bound, and the others make up for that.
+        # Values that would go too far stop at their bounds, and the others compensate for that.
         step, held = np.clip(step, low, high), held | beyond
     target[columns[moving]] = np.clip(here[moving] + step, 0.0, most[moving])
     return target

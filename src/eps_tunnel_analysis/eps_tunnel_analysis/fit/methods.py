@@ -100,7 +100,7 @@ class CmaEs:
 
 
 class _Enough(Exception):
-    """This descent stands still, or will not beat the best."""
+    """This descent has stalled, or will not beat the best."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class GaussNewton:
     """Multistart Gauss-Newton (scipy) with each Jacobian as one batch, and a CMA-ES polish where it stalls.
 
     Attributes:
-        scouts: random points looked at beside the start, in one batch.
+        scouts: random points evaluated in addition to the start, in one batch.
         starts: local searches, from the best of them.
         difference: step of the finite differences, in normalised units.
         iterations: of each local search, at most.
@@ -153,7 +153,7 @@ class GaussNewton:
         best = evaluations.best_fitness
 
         def look(z: Array) -> tuple[Array, Array]:
-            """Residuals (R,) and Jacobian (R, k) in one batch; a step is seldom taken back, so the latter is needed."""
+            """Residuals (R,) and Jacobian (R, k) in one batch; steps are seldom rejected, so the latter is needed."""
             if z.tobytes() not in known:
                 points, steps = moved(z, self.difference)
                 answers = evaluations.residuals(np.vstack([z, points]))
@@ -194,5 +194,5 @@ class GaussNewton:
 
 
 def finite(residuals: Array) -> Array:
-    """Residuals with diverged roll-outs made large rather than NaN, so that a step into them is taken back."""
+    """Residuals with diverged roll-outs made large rather than NaN, so that a step into them is rejected."""
     return np.nan_to_num(residuals, nan=1e3, posinf=1e3, neginf=-1e3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is fitted to what: free parameters with bounds, the residuals of one roll-out per command, a number for them.
+"""The fitting problem: free parameters with bounds, the residuals of one roll-out per command, a fitness for these.
 
 The optimisers see no simulator. They work on normalised values z in [0, 1] (0 = lower bound, 1 = upper bound), as the
 paper does, and ask for whole batches at once.
@@ -46,7 +46,7 @@ def free_parameters(model: Model, patterns: Sequence[str]) -> tuple[str, ...]:
 
 
 def full_name(axis: Axis, name: str) -> str:
-    """Of what a drive declares: its own value, as `d`, or one of its joint, as `joint.damping`."""
+    """Full name of a value that a drive declares: its own, such as `d`, or its joint's, such as `joint.damping`."""
     owner, dot, quantity = name.partition(".")
     return f"{owner}.{axis.joint}.{quantity}" if dot else f"drive.{axis.name}.{name}"
 
@@ -55,14 +55,14 @@ def default_free(model: Model, signals: Iterable[str] = ()) -> tuple[str, ...]:
     """What each drive declares as free, every parameter of the model's effects, and open factors of compared efforts.
 
     Args:
-        signals: that are compared, as far as they are no positions.
+        signals: those compared that are not positions.
     """
     names, compared = [], set(signals)
     for axis in model.rig.axes:
         kind = model.drives[axis.name].kind
         names += [full_name(axis, name) for name in kind.free or [p.name for p in kind.parameters]]
         if not any(m.quantity == "torque" and m.signal in compared for m in axis.measured):
-            names += [full_name(axis, name) for name in kind.told_by_effort]
+            names += [full_name(axis, name) for name in kind.identified_by_effort]
     names += [f"{u.effect.name}.{u.place}.{p.name}" for u in model.effects for p in u.effect.parameters if p.fitted]
     names += [name for name in model.parameters() if name.startswith(f"{EFFORT}.") and name.split(".")[1] in compared]
     return tuple(names)
@@ -89,7 +89,7 @@ def by_axis(model: Model, free: Sequence[str], plays: Sequence[Play], signals: S
     """One part for each axis, as the paper fits its servos, with that axis's signals and the plays that move it; last
     what belongs to no axis.
 
-    An axis of which `signals` names none is fitted to all of them.
+    An axis without any signal in `signals` is fitted to all of them.
     """
     others = list(free)
     parts = []
@@ -208,7 +208,7 @@ class Problem:
         low, high: (k,) bounds in those units.
         start: (k,) the values to start from, within the bounds.
         residuals: maps values (n, k) in their units to simulated minus measured (n, R), in the signals' units; a row of
-            NaN tells a roll-out that diverged.
+            NaN marks a roll-out that diverged.
         fitness: maps residuals (n, R) to one number each (n,), smaller is better.
         blocks: (R,) int, which unbroken run of samples (command and signal) each residual belongs to.
     """

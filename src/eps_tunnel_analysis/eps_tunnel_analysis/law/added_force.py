@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one axis goes through while recorded commands are played on a model, and forces over time added meanwhile."""
+"""The motion of one axis while recorded commands are played on a model, with forces over time added."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ class Motion:
     Attributes:
         time: (K,) s since the start.
         angle, speed: (K,).
-        direction: (K,) sign of the last speed worth the name, 0 before the first.
+        direction: (K,) sign of the last speed above STANDSTILL, 0 before the first.
         since: (K,) s since the direction last changed.
         load: (K,) absolute torque that the gear carries, motor against load.
         drive: (K,) of the motor, signed.
         command: (K,) target during each step, NaN where the drive is off.
-        other: (K,) angle of the first other axis; empty where there is none.
+        other: (K,) angle of the first other axis; empty if there is none.
     """
 
     time: Array
@@ -107,9 +107,9 @@ class Forces:
     def recorded(self) -> Array:
         """(K, 5) angle, speed, load, drive's torque and other angle at the start of each step."""
         assert self._seen is not None
-        found = np.array(self._seen)
+        table = np.array(self._seen)
         self._seen = None
-        return found
+        return table
 
 
 class Playing:
@@ -120,7 +120,7 @@ class Playing:
         plays: recorded.
         axis: short name.
         signals: compared.
-        free: full names of values that may move besides.
+        free: full names of values that may also move.
         at_load: whether forces act on the load's joint.
     """
 
@@ -160,7 +160,7 @@ class Playing:
         return self.evidence[play](np.hstack([free, rows]))
 
     def motion(self, play: int, force: Array | None = None) -> Motion:
-        """What the axis goes through under a force over time (K,) N m, none by default."""
+        """The axis's motion under a force over time (K,) N m, none by default."""
         evidence = self.evidence[play]
         count = evidence.count(0)
         self.forces.table = np.zeros((1, count)) if force is None else np.asarray(force)[None]
@@ -197,7 +197,7 @@ def _reversals(speed: Array, step: float) -> tuple[Array, Array]:
 def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
     """Free curve -> short name of each number of its range, so that it covers what these motions visit."""
     angle = _middle([m.angle for m in motions])
-    found = {
+    spans = {
         "curve_angle": angle,
         "curve_angle_friction": angle,
         "curve_speed": {"most": COVERED * max(float(np.abs(m.speed).max()) for m in motions)},
@@ -208,8 +208,8 @@ def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
     }
     if all(m.other.size for m in motions):
         other = _middle([m.other for m in motions])
-        found |= {"curve_other": other, "curve_other_friction": other}
-    return found
+        spans |= {"curve_other": other, "curve_other_friction": other}
+    return spans
 
 
 def _middle(values: Sequence[Array]) -> dict[str, float]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a missing force depends on: the share of the misfit that a smooth function of each variable predicts where it
-was left out, against the same with the variable moved in time, which keeps its own rhythm and loses the rig's.
+was left out, compared with the same variable moved in time, which keeps its own rhythm but loses the rig's.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,28 +21,28 @@ SURROGATES = 39
 LEAST_SHIFT = 0.7  # s by which a variable is moved at least
 LEVEL = 0.05  # share of healthy rigs that may name a variable
 DRAWS = 400  # of the block bootstrap
-PERIODS = 120  # tried, evenly in the logarithm; by chance a third of them
+PERIODS = 120  # tried, evenly in the logarithm; a third of them for the level of chance
 MOST_WAVES = 40.0  # within the range visited
 LEAST_WAVES = 0.8
 TRIED_IN_PAIRS = 3  # variables whose pairs are tried: those that explain most by themselves
 COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
-NO_MORE = 0.05  # of the misfit: what explains so little more says no more
+NO_MORE = 0.05  # of the misfit: a smaller gain in the share explained is not significant
 FRICTION = (
     "curve_load_friction", "curve_angle_friction", "curve_other_friction", "curve_reversal", "curve_time_friction",
 )  # fmt: skip
-"""Free curves that are dry friction where they are even, which a curve over the speed is, too."""
+"""Free curves that are dry friction if they are constant, which a curve over the speed can be, too."""
 PLAIN = (
     "curve_speed", "curve_angle", "curve_load_friction", "curve_sensor", "curve_other", "curve_angle_friction",
     "curve_other_friction", "curve_reversal", "curve_time", "curve_time_friction",
 )  # fmt: skip
 """Free curves, the plainest first: of those that explain as much as the best, the first one is named. Friction over
-angle, load or time holds dry friction, too, and a constant is a curve over anything."""
+angle, load or time includes dry friction, and a constant is a curve over any variable."""
 
 
 Rows = Sequence[Array]
-"""Of each play, what acts over time, (n, K)."""
+"""For each play, what acts over time, (n, K)."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Design:
         missing: the plays' answers.
         y: (R,) residuals without any force, in units of the noise floor.
         fold: (R,) stretch of time.
-        base: (R, k) what refitted values can make up for.
+        base: (R, k) what refitted values can compensate for.
     """
 
     missing: MissingForce
@@ -74,7 +74,7 @@ class Design:
         """(R, K) change of the residuals by what acts over time.
 
         Args:
-            rows: of each play, forces (n, K) N m at its nodes; or errors (r, K) at the samples of one sensor.
+            rows: for each play, forces (n, K) N m at its nodes; or errors (r, K) at the samples of one sensor.
             signal: number of that sensor; None for a force.
             moved: share of its length by which each play's rows are moved in time, around the end.
         """
@@ -91,7 +91,7 @@ class Design:
         return np.concatenate(parts)
 
     def angles(self, signal: int | None = None) -> list[Array]:
-        """Of each play the joint's angle at its nodes (n,), or at the samples (r,) of one sensor."""
+        """For each play the joint's angle at its nodes (n,), or at the samples (r,) of one sensor."""
         if signal is None:
             return [p.at_nodes(p.motion.angle) for p in self.plays]
         return [np.interp(p.time[p.signal == signal], p.motion.time, p.motion.angle) for p in self.plays]
@@ -99,10 +99,10 @@ class Design:
 
 @dataclass(frozen=True)
 class Explained:
-    """What some columns explain where they were left out.
+    """What some columns explain on stretches of time that were left out.
 
     Attributes:
-        share: of the misfit beyond what base values make up for.
+        share: of the misfit beyond what base values compensate for.
         stretches: (F, 2) sum of squares in each stretch without the columns and with them.
         weights: (K,) of the columns, fitted to everything.
     """
@@ -140,7 +140,7 @@ class Predictor:
         self._without = self._left_out(self._grams, self._rights)[0]
 
     def explained(self, columns: Array, curve: bool = False) -> Explained:
-        """What columns (R, K) explain beside what is always there.
+        """What columns (R, K) explain in addition to those that are always there.
 
         Args:
             curve: whether they are the neighbouring knots of a curve, as smooth as predicts best.
@@ -178,18 +178,18 @@ class Predictor:
             ridge[self._size :, self._size :] += bends * float(diagonal[self._size :].mean()) * knots.T @ knots
         weights = -np.linalg.solve(gram - grams + ridge, (right - rights)[:, :, None])[:, :, 0]
         bent = np.einsum("fk,fkl,fl->f", weights, grams, weights)
-        left = self._own + 2.0 * np.einsum("fk,fk->f", weights, rights) + bent
-        return left, -np.linalg.solve(gram + ridge, right)
+        squares = self._own + 2.0 * np.einsum("fk,fk->f", weights, rights) + bent
+        return squares, -np.linalg.solve(gram + ridge, right)
 
 
 def half_widths(design: Design, columns: Array) -> Array:
-    """(K,) half of the 90 % interval of columns' weights (R, K), fitted to everything beside the base values."""
+    """(K,) half of the 90 % interval of columns' weights (R, K), fitted to everything together with the base values."""
     every = np.hstack([design.base, columns])
     gram = every.T @ every
     ridge = np.diag(RIDGE * np.maximum(np.diag(gram), 1e-12 * max(float(np.diag(gram).max()), 1e-300)))
     inverse = np.linalg.inv(gram + ridge)
-    left = design.y - every @ (inverse @ (every.T @ design.y))
-    spread = max(float(np.mean(left**2)), 1.0) * SETTINGS.correlated
+    remaining = design.y - every @ (inverse @ (every.T @ design.y))
+    spread = max(float(np.mean(remaining**2)), 1.0) * SETTINGS.correlated
     return np.asarray(1.645 * np.sqrt(spread * np.diag(inverse))[design.base.shape[1] :])
 
 
@@ -202,11 +202,11 @@ class Variable:
 
     Attributes:
         name: for people, as "angle".
-        curve: the free curve that acts so.
+        curve: the corresponding free curve.
         place: an axis, or a sensor's signal.
-        rows: of each play, what each of the curve's knots adds over time: ten, or one for a direction.
+        rows: for each play, what each of the curve's knots adds over time: ten, or one for a direction.
         signal: number of the sensor; None for a force.
-        shares: of each play (n,) its share of the curve's range; `signs` (n,), with which it acts. Of forces.
+        shares: for each play (n,) its share of the curve's range; `signs` (n,), with which it acts. For forces.
     """
 
     name: str
@@ -219,7 +219,7 @@ class Variable:
 
     @property
     def quantity(self) -> str:
-        """What it is over, whether it acts as a friction or not."""
+        """The variable, whether it acts as a friction or not."""
         return self.name.partition(",")[0]
 
     def columns(self, design: Design, moved: Sequence[float] | None = None) -> Array:
@@ -229,11 +229,11 @@ class Variable:
 
 def hats(share: Array) -> Array:
     """(n, 10) weight of each knot of a free curve at a share (n,) of its range."""
-    found = np.empty((len(share), KNOTS))
+    weights = np.empty((len(share), KNOTS))
     for i, name in enumerate(NAMES):
         table = {other: np.full(1, 1.0 if other == name else 0.0) for other in NAMES}
-        found[:, i] = curve(table, share[None])[0]
-    return found
+        weights[:, i] = curve(table, share[None])[0]
+    return weights
 
 
 def knots_of(which: str, span: Mapping[str, float]) -> Array:
@@ -261,7 +261,7 @@ def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str
     fast = spans["curve_speed"]["most"]
     by_speed = 0.5 + np.arcsinh(CROWDED * motion.speed / fast) / (2.0 * np.arcsinh(CROWDED))
     angle, end = of_angle(motion.angle, spans["curve_angle"]), spans["curve_time"]["end"]
-    found = {
+    by_curve = {
         "curve_speed": ("speed", by_speed, ones),
         "curve_angle": ("angle", angle, ones),
         "curve_angle_friction": ("angle, as friction", angle, against),
@@ -274,11 +274,11 @@ def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str
     }  # fmt: skip
     if "curve_other" in spans:
         other = of_angle(motion.other, spans["curve_other"])
-        found |= {
+        by_curve |= {
             "curve_other": ("the other axis's angle", other, ones),
             "curve_other_friction": ("the other axis's angle, as friction", other, against),
         }
-    return found
+    return by_curve
 
 
 def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
@@ -286,7 +286,7 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
     missing = design.missing
     spans = visited([p.motion for p in design.plays])
     each = [shares(p.motion, spans) for p in design.plays]
-    found = []
+    every = []
     for name in each[0]:
         over = [p.at_nodes(own[name][1]) for p, own in zip(design.plays, each, strict=True)]
         signs = [p.at_nodes(own[name][2]) for p, own in zip(design.plays, each, strict=True)]
@@ -294,24 +294,24 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
             np.column_stack([p.at_nodes(column) for column in (hats(own[name][1]) * own[name][2][:, None]).T])
             for p, own in zip(design.plays, each, strict=True)
         ]
-        found.append(Variable(each[0][name][0], name, missing.axis, rows, shares=over, signs=signs))
-    found += _of_command(design, spans["curve_angle"])
+        every.append(Variable(each[0][name][0], name, missing.axis, rows, shares=over, signs=signs))
+    every += _of_command(design, spans["curve_angle"])
     directions = [p.at_nodes(p.motion.direction) for p in design.plays]
     over, signs = [0.5 + 0.5 * own for own in directions], [np.ones_like(own) for own in directions]
-    found.append(
+    every.append(
         Variable("direction", "curve_speed", missing.axis, [own[:, None] for own in directions], None, over, signs)
     )
     span = spans["curve_angle"]
     for number in sensors(design, positions):
         errors = [hats(0.5 + 0.5 * (a - span["centre"]) / span["half"]) for a in design.angles(number)]
-        found.append(
+        every.append(
             Variable("angle, as a sensor's error", "curve_sensor", missing.signals[number], errors, number)
         )  # fmt: skip
-    return found
+    return every
 
 
 def _of_command(design: Design, angles: Mapping[str, float]) -> list[Variable]:
-    """The drive's target, over the range of the angles; nothing where the drive is off, and none if it always is."""
+    """The drive's target, over the range of the angles; zero while the drive is off, and none if it always is."""
     rows, over, signs = [], [], []
     for p in design.plays:
         on = np.isfinite(p.motion.command)
@@ -355,12 +355,12 @@ def tents(share: Array) -> Array:
 
 
 def sensors(design: Design, positions: Sequence[str]) -> list[int]:
-    """Numbers of the sensors whose own error can be told; what a lone sensor does is what the axis does."""
+    """Numbers of the sensors whose own error can be identified; a single one's is not separable from the motion."""
     seen = [i for i, signal in enumerate(design.missing.signals) if signal in positions]
     return seen if len(seen) > 1 else []
 
 
-# ---- what is said
+# ---- results
 
 
 @dataclass(frozen=True)
@@ -368,10 +368,10 @@ class Dependence:
     """What a missing force depends on.
 
     Attributes:
-        variable: for people; `curve`, `place`: the free curve that acts so.
-        share: of the misfit, where it was left out; with `interval`, 90 %.
+        variable: for people; `curve`, `place`: the corresponding free curve.
+        share: of the misfit, on stretches left out of the fit; with `interval`, 90 %.
         chance: the largest share that any variable, moved in time, explained in all but LEVEL of the trials.
-        named: whether it explains more than chance does, and as much as is worth telling.
+        named: whether it explains more than chance does, and enough to be worth reporting.
         period: rad of the waves over the angle that explain it better than a smooth function, else None.
         traced: what turns with that period, as the rig file states ratios; "" if nothing does.
         pair: whether it is over two variables at once; `curve` is then of the one that explains more by itself.
@@ -396,8 +396,8 @@ class Depends:
     Attributes:
         dependences: what explains most first.
         chance: share that any of them, moved in time, explains.
-        first: what is named; None where nothing explains more than chance.
-        ties: what explains as much as that in these recordings, but for five in a hundred.
+        first: what is named; None if nothing explains more than chance.
+        ties: what explains as much as that in these recordings, at the 5 % level.
     """
 
     dependences: tuple[Dependence, ...]
@@ -407,7 +407,7 @@ class Depends:
 
     @property
     def words(self) -> str:
-        """The variable, or those that these recordings cannot tell apart."""
+        """The variable, or those that these recordings cannot separate."""
         if self.first is None:
             return ""
         return " or ".join(dict.fromkeys(d.variable for d in (self.first, *self.ties)))
@@ -427,22 +427,22 @@ def depends(
     rng = np.random.default_rng(seed)
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
     chance = float(np.quantile([_by_chance(design, predictor, every, moved) for moved in drawn], 1.0 - LEVEL))
-    found: list[tuple[Dependence, Explained]] = []
+    explained: list[tuple[Dependence, Explained]] = []
     singly = [predictor.explained(v.columns(design), curve=True) for v in every]
     both = pairs(every, [e.share for e in singly])
     alone = len(every)
     explains = [*singly, *(predictor.explained(v.columns(design)) for v in both)]
     for i, (variable, e) in enumerate(zip([*every, *both], explains, strict=True)):
         known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
-        found.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
-    found += waves(design, predictor, positions, chance, seed, ratios or {})
-    found.sort(key=lambda pair: -pair[0].share)
-    ordered = tuple(d for d, _ in found)
-    best = found[0][1]
-    near = [d for d, e in found if d.named and (e.share > best.share - NO_MORE or not _better(best, e, seed))]
+        explained.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
+    explained += waves(design, predictor, positions, chance, seed, ratios or {})
+    explained.sort(key=lambda pair: -pair[0].share)
+    ordered = tuple(d for d, _ in explained)
+    best = explained[0][1]
+    near = [d for d, e in explained if d.named and (e.share > best.share - NO_MORE or not _better(best, e, seed))]
     if not near:
         return Depends(ordered, chance)
-    # Waves have a period of their own to choose, so a smooth curve that explains as much is likelier.
+    # Waves also have a period to be fitted, so a smooth curve that explains as much is likelier.
     smooth = [d for d in near if not d.period]
     first = min(smooth or near, key=_plain)
     first = next((d for d in near if d.period and (d.variable, d.place) == (first.variable, first.place)), first)
@@ -453,7 +453,7 @@ def depends(
 
 
 def _plain(d: Dependence) -> tuple[bool, int, bool]:
-    """Less for what is plainer: one variable before two, the direction before the speed, an angle before a command."""
+    """Lower for simpler variables: one variable before two, the direction before the speed, angle before command."""
     return d.pair, PLAIN.index(d.curve), d.variable in ("speed", "command")
 
 
@@ -481,7 +481,7 @@ def _better(one: Explained, other: Explained, seed: int) -> bool:
 
 
 def _matters(design: Design, share: float, chance: float) -> bool:
-    """Whether a share of the misfit is more than chance explains, and as much as is worth telling."""
+    """Whether a share of the misfit is more than chance explains, and enough to be worth reporting."""
     return share > max(chance, 0.0) and share * float(np.mean(design.y**2)) >= SETTINGS.material
 
 
@@ -492,13 +492,13 @@ def _shifts(design: Design, rng: np.random.Generator) -> Iterator[float]:
 
 
 def sines(design: Design, period: float, signal: int | None = None) -> list[Array]:
-    """Of each play (n, 2) sine and cosine over the angle, at its nodes or a sensor's samples."""
+    """For each play (n, 2) sine and cosine over the angle, at its nodes or a sensor's samples."""
     turns = [2.0 * np.pi * angle / period for angle in design.angles(signal)]
     return [np.column_stack([np.sin(turn), np.cos(turn)]) for turn in turns]
 
 
 def periods(design: Design) -> Array:
-    """(P,) rad, of waves over the angle that the visited range can tell."""
+    """(P,) rad, of waves over the angle that the visited range can resolve."""
     span = max(float(np.ptp(p.motion.angle)) for p in design.plays)
     return np.geomspace(span / MOST_WAVES, span / LEAST_WAVES, PERIODS)
 
@@ -511,7 +511,7 @@ def waves(
     missing, tried = design.missing, periods(design)
     ways: list[tuple[str, str, str, int | None]] = [("angle", "curve_angle", missing.axis, None)]
     ways += [("angle, as a sensor's error", "curve_sensor", missing.signals[i], i) for i in sensors(design, positions)]
-    found = []
+    dependences = []
     for name, which, place, signal in ways:
 
         def explained(period: float, signal: int | None = signal) -> Explained:
@@ -523,8 +523,8 @@ def waves(
         best = refined(share, tried, int(np.argmax([share(float(p)) for p in tried])))
         e = explained(best)
         known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
-        found.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
-    return found
+        dependences.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
+    return dependences
 
 
 def refined(share: Callable[[float], float], tried: Array, best: int) -> float:
@@ -548,15 +548,15 @@ def refined(share: Callable[[float], float], tried: Array, best: int) -> float:
 def traced(period: float, ratios: Mapping[str, float]) -> str:
     """What turns a whole number of times, up to 60 waves a turn, in this period of the joint, rad.
 
-    Of several the one with the fewest waves a turn, for most of what is not round has one or two.
+    Of several the one with the fewest waves a turn, because most parts that are not round have one or two.
     """
-    found = []
+    candidates = []
     for name, ratio in ratios.items():
         waves_a_turn = 2.0 * np.pi / (period * abs(ratio))
         whole = round(waves_a_turn)
         if 1 <= whole <= MOST_A_TURN and abs(waves_a_turn - whole) < NEAR_WHOLE * min(whole, 10):
-            found.append((whole, name))
-    if not found:
+            candidates.append((whole, name))
+    if not candidates:
         return ""
-    whole, name = min(found)
+    whole, name = min(candidates)
     return f"{whole} wave{'s' if whole > 1 else ''} a turn of the {name}"

@@ -26,11 +26,11 @@ LOOKS = {
     "scaled": "The axis moves by a constant factor too far or too little.",
     "loop": "The axis stops short of its target by an amount that depends on the side from which it came.",
     "one_sided": "The axis is off by one amount going up and by another going down.",
-    "by_angle": "The axis misses each angle by an amount of its own.",
+    "by_angle": "The axis misses each angle by a different amount.",
     "passing": "The axis trails while it moves and is right at rest.",
     "stairs": "The axis stands still at times while it should move.",
     "adrift": "The axis moves before its command does.",
-    "coupled": "This axis moves where only the other one is commanded.",
+    "coupled": "This axis moves while only the other one is commanded.",
     "calmer": "The axis travels a shorter way.",
     "livelier": "The axis travels a longer way.",
 }
@@ -45,18 +45,18 @@ MISTAKEN = {
 
 def prefixes(terms: Sequence[Chosen]) -> list[str]:
     """A prefix for each term's parameters: its name, numbered where it occurs again."""
-    found: list[str] = []
+    used: list[str] = []
     for chosen in terms:
         name = chosen.term.name
-        found.append(name if name not in found else f"{name}{1 + sum(f.startswith(name) for f in found)}")
-    return found
+        used.append(name if name not in used else f"{name}{1 + sum(f.startswith(name) for f in used)}")
+    return used
 
 
 def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:
     """The text of a file that declares an effect with these terms.
 
     Args:
-        shows: its mark, as `seen_mark` finds it; by default what terms like the first one mostly show.
+        shows: its mark, from `seen_mark`; by default what terms like the first one mostly show.
     """
     names = prefixes(terms)
     acts = [c.term.acts for c in terms]
@@ -104,7 +104,7 @@ def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:
         f'    mark="{LOOKS[shows]}",',
         f'    shows="{shows}",',
         f"    confused_with={MISTAKEN[acts[0]]!r},".replace("'", '"'),
-        '    separated_by="Play another command: what is a law there as well is one.",',
+        '    separated_by="Play another command: a law holds there as well.",',
     ]
     if sensor:
         lines += ['    where="signal",', "    measure=measure,"]
@@ -136,7 +136,7 @@ def _parameters(chosen: Chosen, prefix: str) -> list[str]:
                 low, high = (0.0, most) if value >= 0.0 else (-most, 0.0)
                 why = f"{number.times:g} times what was found, of its sign"
             if high > number.most:
-                high, why = max(number.most, value), f"0 to what such an effect has at most, {number.most:g}"
+                high, why = max(number.most, value), f"0 to the largest for such an effect, {number.most:g}"
         else:
             low, high = (float(f"{v:.3g}") for v in (value / number.times, value * number.times))
             why = f"found, within a factor of {number.times:g}"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Formulas for a missing force: sets of a few terms of a dictionary, grown one term after the other by what they
-predict where it was left out.
+predict on stretches of time that were left out.
 """
 
 import math
@@ -16,7 +16,7 @@ from eps_tunnel_analysis.law.depends import Design, Predictor, moving, periods, 
 from labyrinth_sim.trials import Array
 
 MOST_TERMS = 4
-BEAM = 2  # sets of as many terms that are gone on from
+BEAM = 2  # sets of equally many terms that are extended further
 BEHIND = 0.1  # of the misfit, by which a runner-up may stay behind
 SIMPLER = 0.01  # of the misfit, that one more number in a term must explain
 SHAPES = 9  # values tried of a speed or time that shapes a term
@@ -32,7 +32,7 @@ class Number:
         switches: whether the term vanishes where it is 0.
         times: how far its bounds lie from the fitted value; 0 bounds a phase.
         signed: whether it keeps the sign that it was fitted with.
-        most: beyond which no such effect goes.
+        most: the largest for such an effect.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Formula:
-    """Terms, and the share of the misfit that they explain together where it was left out, with its 90 % interval."""
+    """Terms, and the share of the misfit that they explain together on left-out stretches, with its 90 % interval."""
 
     terms: tuple[Chosen, ...]
     share: float
@@ -181,7 +181,7 @@ def sensor_dictionary(design: Design) -> list[Term]:
 def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, seed: int = 0) -> list[Formula]:
     """The best sets of one, two and more terms, as long as one more matters; roll-outs choose among them.
 
-    Of each number of terms a runner-up is kept, too, and both are gone on from.
+    For each number of terms a runner-up is kept, too, and both are extended.
 
     Args:
         terms: to choose from.
@@ -191,7 +191,7 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
     whole = Predictor(design)
     known: dict[tuple[str, float], Array] = {}
     beam = [_Set((), np.empty((len(design.y), 0)), 0.0)]
-    found: list[Formula] = []
+    best_sets: list[Formula] = []
     for _ in range(MOST_TERMS):
         grown: dict[tuple[str, ...], _Set] = {}
         for begun in beam:
@@ -216,8 +216,8 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
         for one in beam:
             last = whole.explained(one.columns)
             values = tuple(_values(one.chosen, last.weights))
-            found.append(Formula(values, last.share, last.interval(seed)))
-    return found
+            best_sets.append(Formula(values, last.share, last.interval(seed)))
+    return best_sets
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def _best_shape(
 
 
 def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen]:
-    found, first = [], 0
+    terms, first = [], 0
     for term, shape in chosen:
         names = [n.name for n in term.numbers]
         if names == ["size", "period", "phase"]:
@@ -283,5 +283,5 @@ def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen
         else:
             values = dict(zip(names, (float(weights[first]), shape), strict=False))
             first += 1
-        found.append(Chosen(term, values))
-    return found
+        terms.append(Chosen(term, values))
+    return terms

@@ -3,7 +3,7 @@
 
 Forces at nodes 20 ms apart, linear between them, solve a least-squares problem in the residuals of positions and
 efforts together, linearised about the roll-out; then once more about the roll-out with the force found. Its bandwidth
-is the smoothness that predicts samples best that were left out.
+is the smoothness that best predicts samples that were left out.
 """
 
 from collections.abc import Sequence
@@ -44,8 +44,8 @@ class PlayAnswer:
         motion: of the axis, with the missing force added.
         nodes: (n,) s.
         residuals: (R,) that the model leaves without any force.
-        answer: (R, n) by the force at each node, 1/(N m); few of them, for a push is soon forgotten.
-        base: (R, k) by the values refitted besides, each in shares of its span.
+        answer: (R, n) by the force at each node, 1/(N m); few of them, because a push decays soon.
+        base: (R, k) by the values that are also refitted, each in shares of its span.
         time: (R,) s; `signal` (R,) which of the compared; `fold` (R,) stretch of time.
         scale: (R,) the noise floor in the signal's unit.
         force, band: (n,) N m missing, and its standard deviation.
@@ -111,7 +111,7 @@ def missing_force(
     Args:
         model: refitted.
         plays: recorded.
-        part: of the axis: what is compared, and the values that may move besides.
+        part: of the axis: what is compared, and the values that may also move.
         at_load: whether the force acts behind the belt, on the load's joint.
     """
     search = axis_search(model, plays, part, SearchOptions((), nthread))
@@ -127,8 +127,8 @@ def missing_force(
     for number in range(passes):
         parts = []
         for p in range(len(plays)):
-            mine = owner[search.used] == p
-            used, scale = search.used[mine] - first[p], search.scale[mine]
+            of_play = owner[search.used] == p
+            used, scale = search.used[of_play] - first[p], search.scale[of_play]
             parts.append(_linearised(playing, p, forces[p], nodes_of[p], used, scale, search.spans))
         if number and _settled(answers, parts):
             break
@@ -136,29 +136,29 @@ def missing_force(
             smoothness = _bandwidth([(y, a) for _, _, y, a, _ in parts])
         answers = []
         for p, (motion, nodes, residuals, answer, base) in enumerate(parts):
-            mine = owner[search.used] == p
+            of_play = owner[search.used] == p
             force, band = _smoothed(residuals, answer, smoothness)
             forces[p] = np.interp(playing.evidence[p].times(0), nodes, force)
             answers.append(
                 PlayAnswer(
-                    motion, nodes, residuals, answer, base, search.evidence.time[search.used][mine],
-                    search.signal[mine], folds[search.used][mine], search.scale[mine], force, band,
+                    motion, nodes, residuals, answer, base, search.evidence.time[search.used][of_play],
+                    search.signal[of_play], folds[search.used][of_play], search.scale[of_play], force, band,
                 )
             )  # fmt: skip
-    left = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
+    remaining = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     here = np.concatenate([a.residuals for a in answers])
     slides, side = model.rig.axis(part.name).slides, "load" if at_load else "motor"
-    floors = float(np.mean(here**2)), float(np.mean(left**2))
+    floors = float(np.mean(here**2)), float(np.mean(remaining**2))
     return MissingForce(part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, side)
 
 
 @dataclass(frozen=True)
 class MissingOffset:
-    """What a sensor would be off by over time, were it alone to blame.
+    """Error of a sensor over time, if it alone caused the misfit.
 
     Attributes:
         signal: its name; `unit` SI, of the offset.
-        time, offset, band: of each play (n,) s, the offset to be added to what the model says, its standard deviation.
+        time, offset, band: for each play (n,) s, the offset to be added to the model's signal, its standard deviation.
         floors: mean square that the model leaves of the signal, without the offset and with it.
     """
 
@@ -176,7 +176,7 @@ class MissingOffset:
 
 
 def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
-    """The offset that one sensor lacks, as smooth as predicts left-out samples best.
+    """The offset that would explain one sensor's misfit, with the smoothness that best predicts left-out samples.
 
     Args:
         number: of the signal among those compared.
@@ -186,18 +186,18 @@ def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
         here = play.signal == number
         parts.append((play.residuals[here], _between(play.time[here], play.nodes, play.scale[here])))
     weight = _bandwidth(parts)
-    found = [_smoothed(y, answer, weight) for y, answer in parts]
+    smoothed = [_smoothed(y, answer, weight) for y, answer in parts]
     before = np.concatenate([y for y, _ in parts])
-    after = np.concatenate([y + answer @ own for (y, answer), (own, _) in zip(parts, found, strict=True)])
+    after = np.concatenate([y + answer @ own for (y, answer), (own, _) in zip(parts, smoothed, strict=True)])
     floors = float(np.mean(before**2)), float(np.mean(after**2))
-    offsets, bands = zip(*found, strict=True)
+    offsets, bands = zip(*smoothed, strict=True)
     unit = "m" if missing.unit == "N" else "rad"
     return MissingOffset(missing.signals[number], unit, tuple(p.nodes for p in missing.plays), offsets, bands, floors)
 
 
 def trial_offsets(plays: Sequence[Play], signals: Sequence[str]) -> dict[str, Array]:
     """Signal -> (p, 2) number of each trial, from 1, and by how much it differs from its play's others, in SI units."""
-    found = {}
+    offsets = {}
     for name in signals:
         rows: list[tuple[int, float]] = []
         for play in plays:
@@ -205,8 +205,8 @@ def trial_offsets(plays: Sequence[Play], signals: Sequence[str]) -> dict[str, Ar
             seen = np.isfinite(values).all(axis=0)
             each = values[:, seen].mean(axis=1) if seen.any() else np.zeros(len(values))
             rows += [(len(rows) + i + 1, float(mean)) for i, mean in enumerate(each - each.mean())]
-        found[name] = np.array(rows)
-    return found
+        offsets[name] = np.array(rows)
+    return offsets
 
 
 def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
@@ -221,8 +221,8 @@ def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
 def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, csr_array, Array]]) -> bool:
     """Whether roll-outs with the forces found leave what the last linearisation promised."""
     promised = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
-    left = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
-    return bool(np.mean((left - promised) ** 2) < AS_PROMISED * max(float(np.mean(promised**2)), 1.0))
+    remaining = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
+    return bool(np.mean((remaining - promised) ** 2) < AS_PROMISED * max(float(np.mean(promised**2)), 1.0))
 
 
 def _nodes(times: Array) -> Array:
@@ -250,7 +250,7 @@ def _linearised(
     samples, columns, answers = [], [], []
     for row in range(rows):
         own = np.arange(row, len(nodes), apart)
-        # Of several pushes the last one before a sample is what it answers; a node acts from the one before on.
+        # A sample answers the last of several pushes before it; a node acts from the previous one on.
         last = np.searchsorted(nodes[own] - (nodes[1] - nodes[0]), time, side="right") - 1
         known = np.flatnonzero(last >= 0)
         samples.append(known)
@@ -273,7 +273,7 @@ def _linearised(
 
 def _penalised(gram: csr_array, weight: float) -> Array:
     """(b, n) lower bands of the Cholesky factor of `gram` (n, n) with a penalty on the squared curvature, and a little
-    on the force itself, where nothing is seen of it.
+    on the force itself, where it has no visible effect.
     """
     count = gram.shape[0]
     bends = diags_array([1.0, -2.0, 1.0], offsets=(0, 1, 2), shape=(count - 2, count))
@@ -292,8 +292,8 @@ def _smoothed(residuals: Array, answer: csr_array, weight: float) -> tuple[Array
     """(n,) force and its standard deviation."""
     factor = _penalised(answer.T @ answer, weight)
     force = -_solved(factor, answer.T @ residuals)
-    left = float(np.mean((residuals + answer @ force) ** 2))
-    spread = max(left, 1.0) * SETTINGS.correlated / 10.0
+    remaining = float(np.mean((residuals + answer @ force) ** 2))
+    spread = max(remaining, 1.0) * SETTINGS.correlated / 10.0
     variance = np.empty(len(force))
     for begin in range(0, len(force), COLUMNS_AT_ONCE):
         own = np.arange(begin, min(begin + COLUMNS_AT_ONCE, len(force)))
@@ -304,7 +304,7 @@ def _smoothed(residuals: Array, answer: csr_array, weight: float) -> tuple[Array
 
 
 def _bandwidth(parts: Sequence[tuple[Array, csr_array]]) -> float:
-    """The weight of the curvature by which left-out samples are predicted best."""
+    """The weight of the curvature that best predicts left-out samples."""
     costs = np.zeros(len(SMOOTH))
     for residuals, answer in parts:
         fold = (np.arange(len(residuals)) // LEFT_OUT) % FOLDS

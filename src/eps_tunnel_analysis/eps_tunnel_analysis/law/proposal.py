@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is proposed where no effect of the library explains what is missing: an effect file with a formula, or a curve.
+"""What is proposed if no effect of the library explains what is missing: an effect file with a formula, or a curve.
 
 Both are refitted in whole roll-outs together with the base values, and judged on stretches of time that were left out.
 """
@@ -52,10 +52,10 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 ROUNDS = 6
-NEEDS_NO_CURVE = 2.0  # floors where left out: a formula that leaves no more needs no curve beside it
-AS_GOOD = 1.2  # times the floors that the curve leaves where left out: a formula that leaves no more is preferred
-NO_WORSE = 1.02  # times the least that a formula leaves where left out: of those within it the shortest is kept
-FALLS = 0.7  # of the base's floors where left out; what leaves more is not proposed
+NEEDS_NO_CURVE = 2.0  # floors on left-out stretches: a formula that leaves no more needs no curve in addition
+AS_GOOD = 1.2  # times the curve's floors on left-out stretches: a formula that leaves no more is preferred
+NO_WORSE = 1.02  # times the least that a formula leaves on left-out stretches: of those within it the shortest is kept
+FALLS = 0.7  # of the base's floors on left-out stretches; what leaves more is not proposed
 CONFIRMED = 0.5  # of what a model leaves of another command beyond noise: a law that holds takes away as much
 
 
@@ -80,7 +80,7 @@ class Refitted:
 @shown
 @dataclass(frozen=True)
 class Confirmation:
-    """What another command says of a proposal: mean square in units of the noise floor, without it and with it."""
+    """Test of a proposal on another command: mean square in units of the noise floor, without it and with it."""
 
     before: float
     after: float
@@ -107,23 +107,23 @@ class Proposal:
     Attributes:
         axis: its name; `place`: the axis or the sensor that it acts on.
         missing, depends, formula: what it rests on.
-        kind: "formula", "curve", or "" where nothing is proposed.
+        kind: "formula", "curve", or "" if nothing is proposed.
         effect: the effect's full name with its place.
         text: of the file that declares it; "" for a curve, which the library has.
         equation: for people.
-        refit: in roll-outs; None where nothing is proposed.
-        base_held_out: floors that the model leaves without it where left out.
+        refit: in roll-outs; None if nothing is proposed.
+        base_held_out: floors that the model leaves without it on left-out stretches.
         base: the model without it, refitted; `model` with the proposal added and fitted.
         curve: what is missing over the variable named, as (variable, force) at ten places, without any formula;
             `curve_band`: half of the 90 % interval at each.
         visit: the command that shows it best, where something is named.
-        confirmation: what another command says of it; None until one was played.
-        tried: equation -> floors left where left out, of each set of terms that was refitted.
-        ranked: set of effects, "none" or "unknown" -> probability, the proposal ranked as one candidate beside the sets
-            that the diagnosis found best; empty where nothing is proposed.
+        confirmation: its test on another command; None until one was played.
+        tried: equation -> floors left on left-out stretches, of each set of terms that was refitted.
+        ranked: set of effects, "none" or "unknown" -> probability, the proposal ranked as one candidate among the sets
+            that the diagnosis found best; empty if nothing is proposed.
         also: what else lacks a force: the load's side of an elastic axis, other axes.
-        offsets: what each sensor would be off by, were it alone to blame; where more than one sees the axis.
-        left: the force that is still missing beside what is proposed.
+        offsets: the error of each sensor, if it alone caused the misfit; only if several measure the axis.
+        left: the force that is still missing in addition to what is proposed.
         trials: signal -> (p, 2) number of each trial, by how much it differs from the others of its play.
     """
 
@@ -153,7 +153,7 @@ class Proposal:
 
     @property
     def probability(self) -> float:
-        """Of the proposal, beside the best sets of known effects; NaN where nothing is proposed."""
+        """Of the proposal, among the best sets of known effects; NaN if nothing is proposed."""
         return self.ranked.get(self.effect, float("nan"))
 
     @property
@@ -166,28 +166,28 @@ class Proposal:
         """What is found, in words."""
         first = self.depends.first
         if first is None:
-            text = f"Axis {self.axis}: what is missing depends on none of the variables more than chance allows."
-            return text + (f" {self.visit.name}.yaml would tell more." if self.visit else "")
+            text = f"Axis {self.axis}: what is missing depends on none of the variables more than by chance."
+            return text + (f" {self.visit.name}.yaml would show more." if self.visit else "")
         waves = f", with a period of {shown_value(first.period, self.position_unit, 4)}" if first.period else ""
         waves += f", which is {first.traced}" if first.traced else ""
         low, high = first.interval
         text = (
             f"Axis {self.axis}: what is missing depends on {self.depends.words}{waves}; that predicts "
-            f"{first.share:.0%} ({low:.0%} to {high:.0%}) of it where it was left out, chance "
+            f"{first.share:.0%} ({low:.0%} to {high:.0%}) of it where that was left out of the fit, chance "
             f"{max(self.chance, 0.0):.0%}."
         )
         if self.refit:
             form = f"{self.equation}" if self.kind == "formula" else "a free curve"
             text += (
-                f" Proposed is {form}: {shown_number(self.refit.held_out, 2)} floors are left where left out, against "
-                f"{shown_number(self.base_held_out)}. "
+                f" Proposed is {form}: on data left out of the fit {shown_number(self.refit.held_out, 2)} floors "
+                f"remain, {shown_number(self.base_held_out)} without it. "
             )
             beside = [name for name in self.ranked if name not in (self.effect, NONE, UNKNOWN)]
-            text += f"Ranked beside {len(beside)} sets of known effects" if beside else "Ranked by the same rule"
+            text += f"Ranked with {len(beside)} sets of known effects" if beside else "Ranked by the same rule"
             text += f", its probability is {percent(self.probability)}. "
             text += self.confirmation.sentence if self.confirmation else "Found in these data, not confirmed."
         if self.depends.ties and self.visit:
-            text += f" These recordings do not tell {self.depends.words}; {self.visit.name}.yaml may."
+            text += f" These recordings do not decide whether it is {self.depends.words}; {self.visit.name}.yaml may."
         return text
 
     @property
@@ -196,7 +196,7 @@ class Proposal:
         return self.depends.chance
 
     def write(self, folder: Path) -> None:
-        """Writes what is proposed: the effect's file where it is a formula, and the model with it."""
+        """Writes what is proposed: the effect's file if it is a formula, and the model with it."""
         if self.text:
             with (folder / f"{NAME}.py").open("x", encoding="utf-8") as out:
                 out.write(self.text)
@@ -277,13 +277,13 @@ def propose(
     model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, seed: int = 0,
     beside: AxisDiagnosis | None = None,
 ) -> Proposal:  # fmt: skip
-    """What one axis lacks, if no effect of the library is it.
+    """What one axis lacks, if no effect of the library explains it.
 
     Args:
         model: with its values refitted.
         plays: recorded.
         part: of the axis.
-        beside: what the diagnosis found of the axis, whose best sets the proposal is ranked with.
+        beside: the diagnosis of the axis, with whose best sets the proposal is ranked.
     """
     missing = missing_force(model, plays, part, nthread)
     nothing = Formula((), 0.0, (0.0, 0.0))
@@ -291,13 +291,13 @@ def propose(
         return Proposal(part.name, part.name, missing, Depends((), 0.0), nothing)
     design = Design.of(missing)
     positions = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
-    found = depends(design, positions, seed, ratios(model.rig, part.name))
-    first, motions = found.first, [p.motion for p in design.plays]
-    shows = visit(model, part.name, first or found.dependences[0], motions)
+    dependence = depends(design, positions, seed, ratios(model.rig, part.name))
+    first, motions = dependence.first, [p.motion for p in design.plays]
+    shows = visit(model, part.name, first or dependence.dependences[0], motions)
     offsets = tuple(missing_offset(missing, number) for number in sensors(design, positions))
     trials = trial_offsets(plays, positions)
     if first is None:
-        return Proposal(part.name, part.name, missing, found, nothing, base=model, visit=shows, offsets=offsets,
+        return Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
                         trials=trials)  # fmt: skip
     sensor = list(part.signals).index(first.place) if first.curve == "curve_sensor" else None
     terms = dictionary(design) if sensor is None else sensor_dictionary(design)
@@ -308,7 +308,7 @@ def propose(
     columns = chosen.columns(design)
     weights = Predictor(design).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(first.curve, spans[first.curve]).tolist(), weights.tolist(), strict=True))
-    bare = Proposal(part.name, first.place, missing, found, nothing, base=model, curve=table, visit=shows,
+    bare = Proposal(part.name, first.place, missing, dependence, nothing, base=model, curve=table, visit=shows,
                     offsets=offsets, trials=trials,
                     curve_band=tuple(half_widths(design, columns).tolist()))  # fmt: skip
     run = SearchOptions((), nthread)
@@ -338,11 +338,11 @@ def propose(
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
         mark = seen_mark(model, declared(effect_file(law.terms, sensor is not None)), first.place, plays[0])
         text = effect_file(law.terms, sensor is not None, mark)
-        found = _with_period(found, law, ratios(model.rig, part.name))
+        dependence = _with_period(dependence, law, ratios(model.rig, part.name))
     return replace(
         bare, kind=best.kind, effect=best.effect, text=text,
         equation=_equation(law) if best.kind == "formula" else effects()[first.curve].equation,
-        refit=best.refit, base_held_out=before.cost, model=best.model, depends=found, formula=law,
+        refit=best.refit, base_held_out=before.cost, model=best.model, depends=dependence, formula=law,
         ranked=_ranked(best, before, plays, len(terms), beside),
         left=missing_force(best.model, plays, part, nthread, passes=1),
     )  # fmt: skip
@@ -353,7 +353,7 @@ def _equation(law: Formula) -> str:
 
 
 def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
-    """The formula that leaves least where left out; of those that leave hardly more, the one of fewest numbers."""
+    """The formula that leaves least on left-out stretches; of those hardly worse, the one of fewest numbers."""
     predicts = [t for t in tried if np.isfinite(t.refit.held_out)]  # NaN of one that diverges
     if not predicts:
         return None
@@ -387,21 +387,21 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
         yield replace(chosen, values={n: short.get(f"{prefix}_{n}", v) for n, v in chosen.values.items()})
 
 
-def _with_period(found: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
-    """What is named, with the period that the formula has of it."""
-    first = found.first
+def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
+    """What is named, with the period that the formula has."""
+    first = dependence.first
     acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor"}
     waves = [c.values for c in law.terms if "period" in c.values and first and c.term.acts == acts.get(first.curve)]
     if first is None or first.pair or not waves:
-        return found
+        return dependence
     period = abs(max(waves, key=lambda values: abs(values["size"]))["period"])
     named = replace(first, period=period, traced=traced(period, turns))
-    every = tuple(named if d is first else d for d in found.dependences)
-    return replace(found, dependences=every, first=named)
+    every = tuple(named if d is first else d for d in dependence.dependences)
+    return replace(dependence, dependences=every, first=named)
 
 
 def confirmed(proposal: Proposal, plays: Sequence[Play], nthread: int = 0) -> Proposal:
-    """A proposal with what plays of another command say of it; nothing is fitted to them."""
+    """A proposal tested on plays of another command; nothing is fitted to them."""
     if proposal.base is None or proposal.model is None:
         return proposal
     before, after = (floors_on(m, plays, proposal.axis, nthread) for m in (proposal.base, proposal.model))
@@ -409,40 +409,40 @@ def confirmed(proposal: Proposal, plays: Sequence[Play], nthread: int = 0) -> Pr
 
 
 def proposal_of(diagnosis: Diagnosis, plays: Sequence[Play], nthread: int = 0, seed: int = 0) -> Proposal | None:
-    """What is proposed for the axis that lacks most, where the verdict is "unknown"; None elsewhere.
+    """What is proposed for the axis that lacks most, if the verdict is "unknown"; None otherwise.
 
-    With it the force that every other axis lacks which leaves more than noise, and that on the load's side of elastic
-    ones.
+    It includes the missing force of every other axis that leaves more than noise, and of the load's side of elastic
+    axes.
     """
-    left = {name: a.worst(name) for a in diagnosis.axes for name in a.part.axes if name != BALL}
-    most = max(left, key=lambda name: left[name])
-    if diagnosis.verdict.verdict != "unknown" or left[most] <= SETTINGS.healthy:
+    floors = {name: a.worst(name) for a in diagnosis.axes for name in a.part.axes if name != BALL}
+    most = max(floors, key=lambda name: floors[name])
+    if diagnosis.verdict.verdict != "unknown" or floors[most] <= SETTINGS.healthy:
         return None
     model, alone = diagnosis.base_model, [without_ball(p) for p in plays]
     parts = {p.name: p for p in axis_parts(model, alone)}
     beside = next(a for a in diagnosis.axes if most in a.part.axes)
     proposal = propose(model, alone, parts[most], nthread, seed, beside)
-    return replace(proposal, also=also_missing(model, alone, parts, most, left, nthread))
+    return replace(proposal, also=also_missing(model, alone, parts, most, floors, nthread))
 
 
 def also_missing(
     model: Model, plays: Sequence[Play], parts: Mapping[str, AxisPart], most: str, left: Mapping[str, float],
     nthread: int = 0,
 ) -> tuple[MissingForce, ...]:  # fmt: skip
-    """Forces that others than the motor's side of one axis lack.
+    """Missing forces on other axes than one, and on the load's side of any.
 
     Args:
         parts: axis -> what is compared of it.
         most: that axis.
-        left: axis -> floors that the model leaves of it.
+        left: axis -> floors that the model leaves on it.
     """
-    found = []
+    forces = []
     for name, part in parts.items():
         if left.get(name, 0.0) <= SETTINGS.healthy:
             continue
         sides = ([False] if name != most else []) + ([True] if model.rig.axis(name).belt else [])
-        found += [missing_force(model, plays, part, nthread, at_load=side) for side in sides]
-    return tuple(found)
+        forces += [missing_force(model, plays, part, nthread, at_load=side) for side in sides]
+    return tuple(forces)
 
 
 def propose_on(
@@ -450,7 +450,7 @@ def propose_on(
 ) -> tuple[Model, list[Proposal]]:
     """The model with its base values refitted, and what is proposed for each axis that leaves more than noise.
 
-    Without the search for an effect of the library, which is the diagnosis's.
+    Without the search for an effect of the library, which a diagnosis does.
 
     Args:
         thorough: refit base values as a diagnosis does, from many starts.
@@ -463,7 +463,7 @@ def propose_on(
 
 
 def ratios(rig: Rig, axis: str) -> dict[str, float]:
-    """What turns with an axis's driven joint -> its turns for one of the joint, as the rig file states them."""
+    """What turns with an axis's driven joint -> its turns for one of the joint, from the rig file."""
     own = rig.axis(axis)
     return {} if own.slides else {"joint": 1.0, **own.turns}
 
@@ -495,8 +495,8 @@ def _refitted(
     intervals = {lib.names[c]: float(h) for c, h in zip(columns, half, strict=True)}
     known = lib.model.parameters()
     judged = hypothesis(search, refit)
-    found = Refitted(fitted, intervals, {name: known[name].unit for name in fitted}, refit.cost, judged.cost)
-    return _Attempt(kind, own.name, law, found, _with(lib.model, own, part, fitted), judged, search)
+    refitted = Refitted(fitted, intervals, {name: known[name].unit for name in fitted}, refit.cost, judged.cost)
+    return _Attempt(kind, own.name, law, refitted, _with(lib.model, own, part, fitted), judged, search)
 
 
 def _with(model: Model, own: Candidate, part: AxisPart, fitted: Mapping[str, float]) -> Model:

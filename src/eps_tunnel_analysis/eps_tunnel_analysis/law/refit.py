@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What puts a law to the test: refits without a diagnosis, and the command that shows the law best.
+"""Tests of a law: refits without a diagnosis, and the command that shows the law best.
 
-A refit gives the values that a model has, or one effect beside them, and says what is left of other plays. The command
-goes where the recordings did not, in the variable that the law depends on.
+A refit fits the values that a model has, or one effect together with them, and gives what is left on other plays. The
+command goes where the recordings did not, in the variable that the law depends on.
 """
 
 import math
@@ -26,7 +26,7 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.rig import Axis
 from labyrinth_sim.trials import Array
 
-DELAYS = (0.005, 0.015, 0.025, 0.035)  # s, tried besides the model's own: no descent leaves a wrong one
+DELAYS = (0.005, 0.015, 0.025, 0.035)  # s, tried in addition to the model's own: no descent leaves a wrong one
 FIRST, LAST = 4, 6  # rounds of descent
 TRIED = 4  # starts of an effect that are descended
 
@@ -58,7 +58,7 @@ def quick_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], 
 
 
 def thorough_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], nthread: int = 0) -> Model:
-    """The same as a diagnosis does it."""
+    """The same, with all the starts of a diagnosis."""
     return model.with_values(fitted_bases(model, plays, parts, SearchOptions((), nthread)).values, "refitted")
 
 
@@ -175,7 +175,7 @@ def _shapes(curve: str, low: float, high: float, fast: float) -> list[Shape]:
 
 
 def _along(axis: Axis, own: Axis, motions: Sequence[Motion], curve: str, lasts: float) -> tuple[Shape, ...]:
-    """For another axis: at rest, or slowly over its range where the law depends on it."""
+    """For another axis: at rest, or slowly over its range if the law depends on it."""
     if not curve.startswith("curve_other"):
         return (Hold(lasts),)
     half = max((float(np.abs(m.other).max(initial=0.0)) for m in motions), default=0.0)

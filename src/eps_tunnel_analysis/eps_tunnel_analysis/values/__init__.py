@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a model's values are good for: what a change would do, what has changed, and what would tell them better."""
+"""Uses of a model's values: what a change would do, what has changed, and what play would determine them better."""

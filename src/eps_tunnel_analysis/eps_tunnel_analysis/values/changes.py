@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What changed between two dates: one value of the model, or one effect, or nothing beyond the rig's own spread.
 
-The model is fitted to what was recorded then, and stays so. What is recorded now may differ by few values or effects,
-as wear does it, and sets of them are ranked as a diagnosis ranks what is missing. Where the same command was played on
-both dates, what the model missed then is taken off what it misses now: a form that is wrong on both is no change.
+The model is fitted to what was recorded then, and kept. What is recorded now may differ by a few values or effects, for
+example by wear, and sets of these are ranked as a diagnosis ranks missing effects. If the same command was played on
+both dates, the model's misfit then is subtracted from that now: a form that is wrong on both is not a change.
 
-Over many dates: how alike the model of the first one is, and what became of some of its values.
+Over many dates: how alike the model of the first one is, and how some of its values changed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ MOST_CHANGES = 2  # on one axis
 STEP_OF_A_VALUE = 0.3  # of a value: the strength around which changes of it are tried, or
 STEP_OF_ITS_SPAN = 0.05  # of its bounds' span, where that is more
 #: Share of the noise floor to which differences of the same command on two dates are held before something is said to
-#: have changed: a diagnosis leaves room for forms that are nobody's exactly, and they are gone with the difference.
+#: have changed: a diagnosis leaves room for forms that are not exact, and these cancel in the difference.
 #: Measured: an unchanged rig leaves 0.5 to 0.7 floors, and this puts the limit at 0.9.
 PAIRED = 0.75
 
@@ -64,7 +64,7 @@ class ValueChange:
         name, unit: the full parameter name and its unit.
         then, now: the value on each date, in that unit.
         half_width: of the 95 % interval of the difference, in that unit.
-        what: the value or effect that it belongs to, as the result names it.
+        what: the value or effect that it belongs to, by its name in the result.
     """
 
     name: str
@@ -99,9 +99,9 @@ class Changes:
         set: hypotheses with their probabilities, "none" and "unknown" among them.
         stated: the smallest part of `set` that holds the truth with probability 0.9.
         values: what each named one was and is.
-        floors: axis -> mean square of the difference in units of what the trials' spread lets it be: if nothing had
-            changed, and with the named changes. 1 is what a rig leaves that is as it was.
-        paired: plays of now whose command was played then, too, of how many.
+        floors: axis -> mean square of the difference in units of what the trials' spread allows: if nothing had
+            changed, and with the named changes. An unchanged rig leaves 1.
+        paired: how many of the plays of now have a command that was also played then, and of how many.
         model: fitted to what was recorded then.
         notes: what could not be known.
     """
@@ -203,7 +203,7 @@ def changes(
         floors=floors,
         paired=(sum(_as_then(play, then) is not None for play in now), len(now)),
         model=model,
-        notes=("One trial only: what the rig repeats is unknown, so small changes are not seen. Record five.",)
+        notes=("One trial only: how well the rig repeats is unknown, so small changes are not seen. Record five.",)
         if single
         else (),
     )
@@ -211,8 +211,8 @@ def changes(
 
 def fitted_then(model: Model, then: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions) -> Model:
     """The model with every axis's values fitted to what was recorded then."""
-    found = fitted_bases(model, then, parts, replace(run, only=())).values
-    return model.with_values(found, "fitted to what was recorded then")
+    values = fitted_bases(model, then, parts, replace(run, only=())).values
+    return model.with_values(values, "fitted to what was recorded then")
 
 
 def refitted(
@@ -226,7 +226,7 @@ def refitted(
     """
     run = run or SearchOptions()
     then, now = [without_ball(p) for p in then], [without_ball(p) for p in now]
-    found: list[ValueChange] = []
+    value_changes: list[ValueChange] = []
     parts = moved_parts(model, axis_parts(model, [*then, *now]), now)
     chosen = _chosen(model, parts, names)
     for part in parts:
@@ -242,45 +242,45 @@ def refitted(
             start[columns] = first.values[columns]
         every = tuple(search.library.candidates)
         refit = min(search.judged([(every, start), (every, base.values)], ROUNDS), key=lambda r: r.cost)
-        found += _value_changes(model, _AxisChanges(search, base, (refit,), {}), names)
-    return tuple(found)
+        value_changes += _value_changes(model, _AxisChanges(search, base, (refit,), {}), names)
+    return tuple(value_changes)
 
 
 def _chosen(model: Model, parts: Sequence[AxisPart], only: Sequence[str] | None) -> dict[str, Library]:
     """For each axis what can have changed there, and the model that holds it all as it was then."""
     own = {part.name: _value_candidates(model, part) for part in parts}
-    known = [c.name for found in own.values() for c in found]
+    known = [c.name for libraries in own.values() for c in libraries]
     wanted = None if only is None else [n for n in only if n not in known and n not in {k.split(".")[0] for k in known}]
     if wanted:
         try:
             model.registry.check(wanted)
         except InputError as error:
             raise InputError([*error.complaints, f"Values that can change: {', '.join(known)}."]) from error
-    # An effect by its bare name means the one in the model and, elsewhere, one that may have come.
+    # An effect without a place means the one in the model and, elsewhere, one that may have appeared.
     new = None if only is None else [n for n in only if n.partition(".")[0] in model.registry.effects]
     lib = library(model, (), False, new)
-    found: dict[str, Library] = {}
+    libraries: dict[str, Library] = {}
     for part in parts:
-        mine = [c for c in lib.candidates if c.axes == (part.name,)]
-        mine += [c for c in own[part.name] if only is None or c.name in only or c.name.partition(".")[0] in only]
+        candidates = [c for c in lib.candidates if c.axes == (part.name,)]
+        candidates += [c for c in own[part.name] if only is None or c.name in only or c.name.partition(".")[0] in only]
         held = lib.model
         for other in lib.candidates:
-            if other not in mine:
+            if other not in candidates:
                 held = held.without_effect(other.effect.name, other.place)
-        found[part.name] = Library(held, (), tuple(mine))
-    return found
+        libraries[part.name] = Library(held, (), tuple(candidates))
+    return libraries
 
 
 def _value_candidates(model: Model, part: AxisPart) -> list[Candidate]:
     """The drive's values, each by itself, and the effects that the model has, as candidates that are off as then."""
-    infos, found = model.parameters(), list[Candidate]()
+    infos, candidates = model.parameters(), list[Candidate]()
     for name in part.base:
         if name.startswith("drive."):
             owner, _, short = name.rpartition(".")
             p = next(p for p in model.drives[part.name].kind.parameters if p.name == short)
             step = max(STEP_OF_A_VALUE * abs(infos[name].value), STEP_OF_ITS_SPAN * infos[name].span)
             moved = _moved(p, infos[name].value, infos[name].low, infos[name].high, step)
-            found.append(Candidate(_value_as_effect(owner, moved), short, (part.name,), (name,)))
+            candidates.append(Candidate(_value_as_effect(owner, moved), short, (part.name,), (name,)))
     for use in model.effects:
         prefix = f"{use.effect.name}.{use.place}."
         main = [p for p in use.effect.parameters if p.fitted and p.off is not None and f"{prefix}{p.name}" in part.base]
@@ -290,8 +290,8 @@ def _value_candidates(model: Model, part: AxisPart) -> list[Candidate]:
         )
         if main:
             effect = replace(use.effect, parameters=moved_all)
-            found.append(Candidate(effect, use.place, (part.name,), tuple(f"{prefix}{p.name}" for p in main)))
-    return found
+            candidates.append(Candidate(effect, use.place, (part.name,), tuple(f"{prefix}{p.name}" for p in main)))
+    return candidates
 
 
 def _moved(p: Parameter, value: float, low: float, high: float, step: float) -> Parameter:
@@ -328,7 +328,7 @@ def _search(
         for column in range(signals):
             here = search.evidence.blocks == number * signals + column
             same_signal = before.evidence.blocks % signals == column
-            if other is None:  # nothing to compare with: a misfit as it was then is no change
+            if other is None:  # nothing to compare with: a misfit like that of then is not a change
                 rms = np.sqrt(np.mean(missed_then[same_signal & used] ** 2)) if (same_signal & used).any() else 0.0
                 scale[here] = np.hypot(scale[here], rms)
                 continue
@@ -381,8 +381,8 @@ def _axis_changes(
 def _unchanged(base: Hypothesis, best: Hypothesis, search: Search, tried: int) -> float:
     """Probability that nothing changed, where the same command was played on both dates.
 
-    Without a form that may be wrong on both, what one change explains of stretches of time that were left out of its
-    fit is evidence as it stands (Schwarz 1978); it must be material besides.
+    As a wrong form cancels, what one change explains on stretches of time that were left out of its fit counts in full
+    as evidence (Schwarz 1978); it must also be material.
     """
     gain = base.cost - best.cost
     if gain <= 0.0:
@@ -414,8 +414,10 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
     if not refit.effects:
         return []
     columns = search.fitted(refit)
-    found = intervals(search.jacobian(refit), refit.residuals, search.blocks.astype(float))
-    half = np.maximum(found.half_width * search.spans[columns], [profile(search, refit, column) for column in columns])
+    interval = intervals(search.jacobian(refit), refit.residuals, search.blocks.astype(float))
+    half = np.maximum(
+        interval.half_width * search.spans[columns], [profile(search, refit, column) for column in columns]
+    )
     units = {name: info.unit for name, info in search.library.model.parameters().items()}
     owner = {p: c for c in map(search.library.find, refit.effects) for p in c.parameters}
     present = model.values()
@@ -423,7 +425,7 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
     for column, width in zip(columns, half, strict=True):
         name = search.library.names[column]
         declared = next(p for p in owner[name].declared if name.endswith(f".{p.name}"))
-        if declared.off is None:  # shapes an effect that was not there, so there is nothing that it was then
+        if declared.off is None:  # shapes an effect that was not there, so it had no value then
             continue
         before = present.get(name, declared.off)
         changed.append(
@@ -433,7 +435,7 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
 
 
 def _in_words(name: str, model: Model) -> str:
-    """A hypothesis as people say it."""
+    """A hypothesis in words."""
     if name == NONE:
         return "nothing changed"
     if name == UNKNOWN:
@@ -448,10 +450,10 @@ class DateOfRig:
     """One date.
 
     Attributes:
-        label: as the person named it.
+        label: as the user named it.
         alikeness: k -> share of all seen samples alike in every signal, of the model of the first date.
         itself: k -> what the rig reached against itself on this date, jointly; NaN with too few trials.
-        values: what the watched values are, given that nothing else changed; of the first date none.
+        values: what the watched values are, given that nothing else changed; none for the first date.
     """
 
     label: str
@@ -489,11 +491,11 @@ def over_dates(
         watched: values and effects, as `Changes.named`.
     """
     first = next(iter(dates.values()))
-    found = []
+    rows = []
     for label, plays in dates.items():
         values = refitted(model, first, plays, watched, run) if watched and plays is not first else ()
-        found.append(DateOfRig(label, _alikeness(model, plays, ks), _itself(model, plays, ks), values))
-    return tuple(found)
+        rows.append(DateOfRig(label, _alikeness(model, plays, ks), _itself(model, plays, ks), values))
+    return tuple(rows)
 
 
 def _itself(model: Model, plays: Sequence[Play], ks: Sequence[float]) -> dict[float, float]:

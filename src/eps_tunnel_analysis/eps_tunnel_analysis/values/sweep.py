@@ -25,7 +25,7 @@ POINTS = 41  # of one value
 POINTS_OF_A_PAIR = 15  # of each of two
 MOST = 20_000  # points in all
 POINTS_AT_ONCE = 64  # points that are simulated together
-NEAR = (0.5, 2.0)  # times the model's value, where no range is given
+NEAR = (0.5, 2.0)  # times the model's value, if no range is given
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Sweep:
         alikeness: the same by (K, m): share of all seen samples of the plays.
         joint: the same by (K,): share of samples alike in every signal.
         itself: (K,) what the rig reaches against itself, jointly; NaN with too few trials.
-        notes: what was done besides, in words.
+        notes: what was also done, in words.
     """
 
     values: tuple[SweptValue, ...]
@@ -80,7 +80,7 @@ class Sweep:
     def best(self, of: Array, largest: bool) -> tuple[dict[str, float], float]:
         """Full name -> value where a figure (n,) or (n, n2) is best, and the figure there.
 
-        Of a plateau, as of an alikeness of 1, the middle one in the order of the points.
+        On a plateau, such as an alikeness of 1, the middle one in the order of the points.
         """
         best = np.max(of) if largest else np.min(of)
         at = np.flatnonzero(of == best)
@@ -142,7 +142,7 @@ def sweep(
 
     Args:
         asked: one or two `NAME`, `NAME=LOW:HIGH` or `NAME=LOW:HIGH:POINTS`. An effect that the model lacks is added,
-            switched off but for what is swept.
+            switched off except for what is swept.
         ks: factors on the real tunnel's width.
         progress: called with what is being done and how many points are done.
 
@@ -180,9 +180,9 @@ def sweep(
                 errors[row] += [
                     command_error(a, b) / len(plays) for a, b in zip(tunnel.mean.T, sim.mean.T, strict=True)
                 ]
-                for i, found in enumerate(alikeness_over_k(tunnel, smooth(sim), factors)):
-                    alike[row, i] += found.alike.sum(axis=0)
-                    jointly[row, i] += found.alike.all(axis=1).sum()
+                for i, at_k in enumerate(alikeness_over_k(tunnel, smooth(sim), factors)):
+                    alike[row, i] += at_k.alike.sum(axis=0)
+                    jointly[row, i] += at_k.alike.all(axis=1).sum()
         if progress:
             progress("points", low + len(some))
     shape = tuple(len(v.points) for v in values)
@@ -217,22 +217,22 @@ def with_effects(model: Model, asked: Sequence[str]) -> tuple[Model, tuple[str, 
         if any((use.effect.name, use.place) == (effect, place) for use in model.effects):
             continue
         model = model.with_effect(effect, place, model.registry.effects[effect].off, "switched off")
-        notes.append(f"The model has no {effect}.{place}; it is added, switched off but for what is swept.")
+        notes.append(f"The model has no {effect}.{place}; it is added, switched off except for what is swept.")
     return model, tuple(notes)
 
 
 def _values(model: Model, asked: Sequence[str], known: set[str]) -> tuple[SweptValue, ...]:
     infos = model.parameters()
     complaints: list[str] = []
-    found: list[SweptValue] = []
+    values: list[SweptValue] = []
     for text in asked:
         name, equals, given = text.partition("=")
         if name not in infos:
             complaints.append(unknown_name("parameter", name, infos))
             continue
         if name in known:
-            complaints.append(f"{name} is known of some recordings, so it cannot be swept. Leave its --known away.")
-        if name in [v.name for v in found]:
+            complaints.append(f"{name} is given as known for some recordings, so it cannot be swept. Omit its --known.")
+        if name in [v.name for v in values]:
             complaints.append(f"{name} is named twice; sweep two different values.")
         info = infos[name]
         low, high = near(info.value, info.low, info.high)
@@ -253,13 +253,13 @@ def _values(model: Model, asked: Sequence[str], known: set[str]) -> tuple[SweptV
         points = np.linspace(low, high, min(count, MOST + 1))
         if not equals and low < info.value < high:  # the model's own value is one of them
             points[np.argmin(np.abs(points - info.value))] = info.value
-        found.append(SweptValue(name, info.unit, info.value, points))
-    total = math.prod(len(v.points) for v in found)
+        values.append(SweptValue(name, info.unit, info.value, points))
+    total = math.prod(len(v.points) for v in values)
     if total > MOST:
         complaints.append(f"{total} points are too many; ask for at most {MOST} in all.")
     if complaints:
         raise InputError(complaints)
-    return tuple(found)
+    return tuple(values)
 
 
 def _range(text: str, points: int) -> tuple[float, float, int]:
@@ -315,7 +315,7 @@ class WhatIfAnswer:
 
 def adjustable(model: Model) -> tuple[Adjustable, ...]:
     """Values that can be moved: the model's own, half to twice, and what brings in each effect that it lacks."""
-    found = [
+    values = [
         Adjustable(i.name, i.unit, i.value, *near(i.value, i.low, i.high), held=True)
         for i in model.parameters().values()
     ]
@@ -327,8 +327,8 @@ def adjustable(model: Model) -> tuple[Adjustable, ...]:
             added = (infos[f"{effect.name}.{place}.{p.name}"] for p in effect.parameters)
             # Those that switch the effect on by themselves.
             switches = (i for i in added if i.off is not None)
-            found += [Adjustable(i.name, i.unit, i.value, i.low, i.high, held=False) for i in switches]
-    return tuple(a for a in found if a.low < a.high)
+            values += [Adjustable(i.name, i.unit, i.value, i.low, i.high, held=False) for i in switches]
+    return tuple(a for a in values if a.low < a.high)
 
 
 class WhatIf:
@@ -367,10 +367,10 @@ class WhatIf:
 
         Raises:
             Diverged: the simulation went out of bounds.
-            InputError: an unknown name, a value out of bounds, or one that is known of the recordings.
+            InputError: an unknown name, a value out of bounds, or one that is known for the recordings.
         """
         if name in self.play.known:
-            raise InputError(f"{name} is known of these recordings ({self.play.known[name]:g}), so it is not moved.")
+            raise InputError(f"{name} is known for these recordings ({self.play.known[name]:g}), so it is not moved.")
         model, _ = with_effects(self.model, (name,))
         infos = model.parameters()
         if name not in infos:

@@ -3,7 +3,7 @@
 
 Fisher information of each part of the commands of a menu, at the model's values, over the noise of the signals. Each
 axis takes one part after another, always the one that narrows its values most for its time (D-optimal, greedily), and
-all axes move at the same time. What runs into a stop by the model tells of the stop, and is left out.
+all axes move at the same time. What runs into a stop on the model would show the stop, and is left out.
 """
 
 import math
@@ -33,8 +33,8 @@ SECONDS = 12.0  # of motion, unless asked otherwise
 BLOCK = 2.0  # s, of the parts into which a command of the menu is cut: so long, or one shape more
 BACK = 0.4  # s to return to rest after a command that ends elsewhere
 DIFFERENCE = 1e-3  # of the finite differences, normalised
-PRIOR = 1.0  # deviation, in shares of its span, that is known of a value without any recording
-NOISE = 3e-4  # rad or m, of a sensor of which nothing is known
+PRIOR = 1.0  # standard deviation of a value, in shares of its span, without any recording
+NOISE = 3e-4  # rad or m, of a sensor about which nothing is known
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def value_experiment(
 
     Args:
         model: with its values as far as they are known.
-        plays: what was recorded already; without any all is to be learnt.
+        plays: what was recorded already; without any, nothing is known of the values.
         patterns: values to narrow, as `drive.x.*`; what is free by default.
         seconds: of motion, at most.
 
@@ -187,14 +187,14 @@ def _of_answers(answers: Array, steps: Array, signals: Sequence[str], noise: Map
 
 
 def _noise(model: Model, plays: Sequence[Play]) -> dict[str, float]:
-    """Measured position -> how exactly a mean over trials tells it; what the sensor resolves where nothing says."""
+    """Measured position -> standard deviation of its mean over trials; the sensor's resolution without any plays."""
     positions = [m for m in model.rig.measured if m.quantity == "position"]
-    found = {m.signal: max(m.resolution / 12**0.5, NOISE) for m in positions}
+    noise = {m.signal: max(m.resolution / 12**0.5, NOISE) for m in positions}
     if plays:
         seen = [m.signal for m in positions if all(m.signal in p.trials.signals for p in plays)]
         of_plays = [play_evidence(model, play, seen).noise for play in plays]
-        found = {s: float(np.mean([np.median(n[i].floor) for n in of_plays])) for i, s in enumerate(seen)}
-    return found
+        noise = {s: float(np.mean([np.median(n[i].floor) for n in of_plays])) for i, s in enumerate(seen)}
+    return noise
 
 
 def _pieces(
@@ -210,19 +210,19 @@ def _pieces(
         for label, shapes in _blocks(name, command.shapes[channel]):
             rows = tuple(tuple(shapes) if i == channel else () for i in range(len(command.channels)))
             alone = Command(label, command.channels, command.initial, rows)
-            told, answer = _command_information(model, names, alone, noise, nthread)
+            gained, answer = _command_information(model, names, alone, noise, nthread)
             moves = answer[:, [list(noise).index(s) for s in measured]]
             if np.isfinite(moves).all() and moves.min() > low and moves.max() < high:
-                offers.append((label, shapes, told))
+                offers.append((label, shapes, gained))
     chosen: list[str] = []
     row: list[Shape] = []
-    left = seconds
-    while fitting := [o for o in offers if math.fsum(s.lasts for s in o[1]) <= left + 1e-9]:
-        label, shapes, told = max(fitting, key=lambda o: _gain(known, o[2]) / math.fsum(s.lasts for s in o[1]))
-        known = known + told
+    remaining = seconds
+    while fitting := [o for o in offers if math.fsum(s.lasts for s in o[1]) <= remaining + 1e-9]:
+        label, shapes, gained = max(fitting, key=lambda o: _gain(known, o[2]) / math.fsum(s.lasts for s in o[1]))
+        known = known + gained
         chosen.append(label)
         row += shapes
-        left -= math.fsum(s.lasts for s in shapes)
+        remaining -= math.fsum(s.lasts for s in shapes)
     if not chosen:
         shortest = min((math.fsum(s.lasts for s in o[1]) for o in offers), default=math.nan)
         raise InputError(
@@ -245,7 +245,7 @@ def _half_widths(known: Array) -> Array:
 
 def _blocks(name: str, shapes: Sequence[Shape]) -> list[tuple[str, list[Shape]]]:
     """A command's shapes in parts of some BLOCK, each from rest to rest; longer shapes are cut short."""
-    found: list[tuple[str, list[Shape]]] = []
+    blocks: list[tuple[str, list[Shape]]] = []
     block: list[Shape] = []
     base = 0.0
     moving = [replace(s, lasts=min(s.lasts, BLOCK)) for s in shapes if not isinstance(s, Hold)]
@@ -253,10 +253,10 @@ def _blocks(name: str, shapes: Sequence[Shape]) -> list[tuple[str, list[Shape]]]
         block.append(shape)
         base = shape.end(base)
         if math.fsum(s.lasts for s in block) >= BLOCK or number == len(moving):
-            label = f"{name}/{len(found) + 1}"
-            found.append((label, [*block, Ramp(BACK, 0.0)] if abs(base) > 1e-9 else block))
+            label = f"{name}/{len(blocks) + 1}"
+            blocks.append((label, [*block, Ramp(BACK, 0.0)] if abs(base) > 1e-9 else block))
             block, base = [], 0.0
-    return found
+    return blocks
 
 
 def _filled(shapes: list[Shape], lasts: float) -> list[Shape]:

@@ -80,7 +80,7 @@ DRIVE = Drive(
     full=full,
     reach=reach,
     free=("resistance", "torque_constant", "joint.armature", "delay"),
-    told_by_effort=("duty_gain",),
+    identified_by_effort=("duty_gain",),
     uncertain=("feedback_delay",),
     loose=("resistance", "torque_constant", "joint.armature", "duty_gain"),
 )
