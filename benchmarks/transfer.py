@@ -5,18 +5,21 @@
 
 The rig has backlash, dry friction and a load out of balance on one axis. Models go from textbook values over wrong
 gains to calibrated ones, some with the effects that the rig has, some with others that lower the error for the wrong
-reason. In each, CMA-ES (pycma) tunes a feed-forward of five values so that the board follows a path with quick
-reversals; then the rig plays it. Models are calibrated by one command and judged by a recording of another, which no
-fit has seen.
+reason. In each, CMA-ES (pycma) tunes a controller for each task of `transfer_tasks`; then the rig runs it. Models are
+calibrated by one command and judged by a recording of another, which no fit has seen; `transfer_figures` tells the
+figures.
 
-    spearman            figure -> rank correlation with the rig's cost and its 95 % interval (bootstrap over models);
-                        of alikeness, which falls as cost rises, with its sign turned; of the recording held out, and,
-                        where the name says "fitted", of the one that models were calibrated by
+    spearman            figure -> rank correlation with the rig's cost and its 95 % interval (bootstrap over models),
+                        mean over the tasks; of alikeness, which falls as cost rises, with its sign turned
     spearman_gap        the same with what the rig's cost is above the model's own
-    rmse_spearman       that of the error on the recording held out, for comparison; rmse_fitted_spearman on the other
+    spearman_distance   the same with how far apart the two are, whichever is higher
+    tasks               all for each task alone; the cost of the same controller tuned on the rig itself; the probes
+    rmse_spearman       that of the error on the recording held out; rmse_fitted_spearman on the other
     floors_spearman     that of the mean square over the noise floor, likewise; floors_fitted_spearman
+    best                the figure with the highest correlation
 
-Two things of the question are not asked here: feedback from the board's sensor, and the ball.
+The file is written anew after every step, with the correlations of the tasks that are through, so that a run that is
+cut off loses nothing.
 """
 
 import argparse
@@ -24,40 +27,37 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cma
 import numpy as np
 import testbed_cases
-from numpy.typing import NDArray
-from scipy.stats import spearmanr
+from transfer_figures import SIGNALS, Probes, correlation, figures_of_probes, figures_of_recordings, probes_of
+from transfer_tasks import TASKS
+from transfer_tasks.task import REPEATS, TRIALS, Array, Task, in_model, on_rig, play
 
-from eps_tunnel_analysis.alikeness import KS
-from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.methods import GaussNewton
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.hidden import TestbedConfig, hide
-from labyrinth_hw.testbed.offline import run_offline
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.simulate import simulate_batch
 
-Array = NDArray[np.float64]
-RATE, TIMESTEP = 100.0, 0.0025  # Hz, s
-SIGNALS = ("motor_x", "board_x")
 RIGHT = ("backlash.x", "coulomb_friction.x", "gravity_load.x")
 WRONG = ("sensor_lag.board_x", "return_spring.x", "viscous_friction.x", "gain_error.x", "dead_band.x")
 DRIVE = ("drive.x.p", "drive.x.d", "drive.x.delay")
-LOW = np.array([0.8, 0.0, -0.002, -0.015, -0.015])
-HIGH = np.array([1.3, 0.12, 0.004, 0.02, 0.015])
-"""gain, lead s, rad per rad/s^2, rad with the sign of the speed, offset rad"""
-SLOW = 0.05  # rad/s, about which the sign of the speed turns
-GENERATIONS, POPULATION = 25, 12
+GENERATIONS, POPULATION, TUNINGS = 14, 12, 2
+SPREAD = 0.2  # share of the bounds, of the first generation
 BUDGET = 150  # evaluations of each calibration
-DRAWS = 1000
+PROBES = 12  # of each task
+TARGETS: dict[str, Callable[[float, float], float]] = {
+    "spearman": lambda on_rig, in_model: on_rig,
+    "spearman_gap": lambda on_rig, in_model: on_rig - in_model,
+    "spearman_distance": lambda on_rig, in_model: abs(on_rig - in_model),
+}
+SHOWN = ("alikeness k=3", "k half", "rmse", "probes' cost")
 
 
 @dataclass(frozen=True)
@@ -95,11 +95,11 @@ def judged_command() -> Command:
 
 def recorded(command: Command, seed: int) -> Play:
     """A command as the rig plays it."""
-    play = testbed_cases.play(rig(), command, seed)
-    return Play(play.name, play.trials.select(SIGNALS))
+    whole = testbed_cases.play(rig(), command, seed)
+    return Play(whole.name, whole.trials.select(SIGNALS))
 
 
-def models(play: Play, quick: bool, budget: int) -> Iterator[GradedModel]:
+def models(recording: Play, quick: bool, budget: int) -> Iterator[GradedModel]:
     """Graded models: by textbook, with wrong gains, calibrated, with right and with wrong effects."""
     known = load_model("labyrinth_mx64")
     given = [GradedModel("standard", load_model("labyrinth")), GradedModel("data sheet", known)]
@@ -114,163 +114,154 @@ def models(play: Play, quick: bool, budget: int) -> Iterator[GradedModel]:
             model = model.with_effect(effect, place)
             free += [f"{name}.{p.name}" for p in model.registry.effect(effect).parameters if p.fitted]
         method = GaussNewton(scouts=24, starts=2, polish=40)
-        fit = calibrate(model, free, [play], Settings(method=method, signals=SIGNALS, budget=budget, nthread=1))
+        fit = calibrate(model, free, [recording], Settings(method=method, signals=SIGNALS, budget=budget, nthread=1))
         yield GradedModel(" + ".join(("calibrated", *effects)), model.with_values(fit.values))
 
 
-def path() -> tuple[Array, Callable[[Array], tuple[Array, Array, Array]]]:
-    """(T,) s, and the board's angle, speed and acceleration at given times, rad."""
-    sines = ((np.radians(2.2), 0.55, 0.0), (np.radians(1.0), 1.3, 0.7), (np.radians(0.4), 2.6, 1.9))
-
-    def at(t: Array) -> tuple[Array, Array, Array]:
-        ramp = np.clip(t / 0.5, 0.0, 1.0)
-        terms = [(a, 2 * np.pi * f, 2 * np.pi * f * t + phase) for a, f, phase in sines]
-        return (
-            ramp * sum(a * np.sin(x) for a, _, x in terms),
-            ramp * sum(a * w * np.cos(x) for a, w, x in terms),
-            ramp * sum(-a * w * w * np.sin(x) for a, w, x in terms),
-        )
-
-    return np.arange(600) / RATE, at
-
-
-def commands_of(values: Array) -> Array:
-    """(n, T, 2) rad of n feed-forwards (n, 5)."""
-    t, at = path()
-    found = np.zeros((len(values), len(t), 2))
-    for row, (gain, lead, inertia, friction, offset) in enumerate(values):
-        angle, speed, acceleration = at(t + lead)
-        found[row, :, 0] = gain * angle + inertia * acceleration + friction * np.tanh(speed / SLOW) + offset
-    return np.clip(found, -0.13, 0.13)
-
-
-def cost_of(board: Array) -> Array:
-    """(n,) root mean square distance of boards (n, T) from the path, rad."""
-    t, at = path()
-    return np.asarray(np.sqrt(np.mean((board - at(t)[0]) ** 2, axis=1)))
-
-
-def tuned(model: Model, seed: int, generations: int) -> tuple[Array, float]:
-    """(5,) the feed-forward that follows best in the model, and its cost there."""
-    t, _ = path()
-
-    def cost(z: Array) -> Array:
-        targets = commands_of(LOW + z * (HIGH - LOW))
-        answer = simulate_batch(
-            model, (), np.empty((1, 0)), t, targets, {}, signals=("board_x",), timestep=TIMESTEP, nthread=1
-        )
-        return np.nan_to_num(cost_of(answer.values[0, :, :, 0]), nan=1.0)
-
-    start = (np.array([1.0, 0.03, 0.0, 0.0, 0.0]) - LOW) / (HIGH - LOW)
+def tuned(task: Task, cost: Callable[[Array], Array], seed: int, generations: int) -> tuple[Array, float]:
+    """(v,) the controller of the least cost, and that; `cost` takes (n, v) and gives (n,)."""
     options = {"bounds": [0.0, 1.0], "popsize": POPULATION, "seed": seed, "verbose": -9, "maxiter": generations}
-    search = cma.CMAEvolutionStrategy(start, 0.2, options)
+    search = cma.CMAEvolutionStrategy(task.begin, SPREAD, options)
     while not search.stop():
         candidates = search.ask()
-        search.tell(candidates, cost(np.array(candidates)).tolist())
-    best = np.clip(search.result.xbest, 0.0, 1.0)
-    return LOW + best * (HIGH - LOW), float(search.result.fbest)
+        search.tell(candidates, cost(task.of_shares(np.array(candidates))).tolist())
+    return task.of_shares(np.array(search.result.xbest)), float(search.result.fbest)
 
 
-def on_rig(values: Array, seed: int) -> float:
-    """Cost of a feed-forward on the rig, rad: mean over its trials, by the potentiometer."""
-    t, _ = path()
-    run = run_offline(rig(), t, commands_of(values[None])[0], testbed_cases.TRIALS, seed)
-    board = np.stack([np.interp(t, s, b[:, 0]) for s, b in zip(run.stamps, run.board, strict=True)])
-    return float(cost_of(board).mean())
+def tuned_on_rig(task: Task, seed: int, generations: int) -> float:
+    """Cost of the controller that is tuned on the rig itself: what a perfect model would reach."""
+    values, _ = tuned(task, lambda v: on_rig(task, play(task, rig(), v, REPEATS, seed)), seed, generations)
+    return float(on_rig(task, play(task, rig(), values[None], TRIALS, seed + 1))[0])
 
 
-def judged_figures(model: Model, fitted: Play, held: Play) -> dict[str, float]:
-    """Figures of a model on a recording that was not fitted, and RMSE and floors on the one that was beside them."""
-    seen = figures_of(model, fitted)
-    return figures_of(model, held) | {f"{name} fitted": seen[name] for name in ("rmse", "floors")}
+def summary(records: Sequence[dict[str, Any]], extra: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Correlations over the models, of each task that is through with all of them and in the mean."""
+    through = [t.name for t in TASKS if records and all("on_rig" in r["tasks"].get(t.name, {}) for r in records)]
+    content: dict[str, Any] = {"tasks": extra, "models": list(records)}
+    if not through:
+        return content
+    names = [*records[0]["figures"], *records[0]["tasks"][through[0]]["figures"]]
+    ranks: dict[str, dict[str, dict[str, list[float]]]] = {}
+    for word, target in TARGETS.items():
+        columns: dict[str, tuple[list[Array], list[Array]]] = {n: ([], []) for n in names}
+        for task in through:
+            own = [r["figures"] | r["tasks"][task] | r["tasks"][task]["figures"] for r in records]
+            for name in names:
+                columns[name][0].append(np.array([o[name] for o in own]))
+                columns[name][1].append(np.array([target(o["on_rig"], o["in_model"]) for o in own]))
+        ranks[word] = {"": {n: correlation(*columns[n]) for n in names}}
+        for i, task in enumerate(through):
+            ranks[word][task] = {n: correlation(x[i : i + 1], y[i : i + 1]) for n, (x, y) in columns.items()}
+    content["tasks"] = {n: own | ({w: ranks[w][n] for w in ranks} if n in through else {}) for n, own in extra.items()}
+    spearman = ranks["spearman"][""]
+    return content | {
+        "spearman": spearman, **{w: ranks[w][""] for w in TARGETS if w != "spearman"},
+        **{f"{n}{w}_spearman": spearman[(n + w).replace("_", " ")]
+           for n in ("rmse", "floors") for w in ("", "_fitted")},
+        "best": max(names, key=lambda n: np.nan_to_num(spearman[n][0], nan=-1.0)),
+    }  # fmt: skip
 
 
-def figures_of(model: Model, play: Play) -> dict[str, float]:
-    """What the comparison with a recording says of a model; all rise as it gets worse."""
-    shown = compare(play.trials, roll_out(model, play), KS, signals=SIGNALS)
-    found = {f"alikeness k={a.k_real:g}": -a.joint for a in shown.alikeness}
-    found["rmse"] = float(np.sqrt(np.mean([e.rms**2 for e in shown.errors])))
-    found["error"] = float(np.mean([e.command_error for e in shown.errors]))
-    evidence = Evidence(model, (), [play_evidence(model, play, SIGNALS)], SIGNALS, TIMESTEP, 1)
-    squares = (evidence(np.empty((1, 0)))[0] / evidence.floor) ** 2
-    found["floors"] = float(np.mean(squares))
-    found["remaining"] = max(float(np.mean(squares[evidence.blocks == i])) for i in range(len(SIGNALS)))
-    return found
-
-
-def correlation(x: Sequence[float], y: Sequence[float]) -> list[float]:
-    """Spearman's rank correlation and its 95 % interval by bootstrap."""
-    a, b = np.array(x), np.array(y)
-    rng, draws = np.random.default_rng(0), []
-    while len(draws) < DRAWS:
-        which = rng.integers(len(a), size=len(a))
-        if np.ptp(a[which]) > 0.0 and np.ptp(b[which]) > 0.0:
-            draws.append(float(spearmanr(a[which], b[which]).statistic))
-    low, high = np.quantile(draws, (0.025, 0.975))
-    value = float(spearmanr(a, b).statistic) if np.ptp(a) > 0.0 else float("nan")
-    return [value, float(low), float(high)]
+def tables(content: dict[str, Any]) -> str:
+    """What was found, for the terminal and the page."""
+    per, rows = content["tasks"], content["models"]
+    units = {t.name: t for t in TASKS}
+    lines = ["Cost on the rig, and in the model in brackets:", "", "".join(
+        [f"{'':41s}", *(f"{n + ', ' + t.unit:>28s}" for n, t in units.items())])]  # fmt: skip
+    if all("tuned_on_rig" in per[n] for n in units):
+        best = [f"{t.scale * per[n]['tuned_on_rig']:18.2f}{'':10s}" for n, t in units.items()]
+        lines.append(f"{'tuned on the rig itself':41s}" + "".join(best))
+    for r in rows:
+        own = [(t, r["tasks"][n]) for n, t in units.items() if n in r["tasks"]]
+        name = r["model"].replace("coulomb_", "").replace("calibrated", "cal.")
+        lines.append(f"{name:41s}" + "".join(
+            f"{t.scale * o['on_rig']:18.2f} ({t.scale * o['in_model']:6.2f}) " for t, o in own))  # fmt: skip
+    titles = ("the cost on the rig", "what that is above the model's", "how far it is from the model's")
+    for word, title in zip(TARGETS, titles, strict=True):
+        lines += ["", f"Spearman's correlation of a figure with {title}, over {len(rows)} models:", "",
+                  f"{'':16s}{'mean':>6s}  {'95 %':15s}" + "".join(f"{n:>22s}" for n in units)]  # fmt: skip
+        for name, (value, low, high) in content[word].items():
+            own = [per[n][word][name][0] for n in units]
+            lines.append(f"{name:16s}{value:6.2f}  {f'{low:.2f} to {high:.2f}':15s}"
+                         + "".join(f"{v:22.2f}" for v in own))  # fmt: skip
+    return "\n".join(lines)
 
 
 def write_picture(records: Sequence[dict[str, Any]], names: Sequence[str], file: Path) -> None:
-    """The rig's cost over each figure."""
+    """The rig's cost of each task, a row, over each figure, a column."""
     from matplotlib.figure import Figure
 
     from eps_tunnel_analysis.report.values_pictures import save_svg
 
-    figure = Figure(figsize=(2.4 * len(names), 2.8), layout="constrained")
-    for axes, name in zip(figure.subplots(1, len(names), sharey=True), names, strict=True):
-        axes.plot([abs(r["figures"][name]) for r in records], [1000 * r["on_rig"] for r in records], "o", ms=4)
-        axes.set_xlabel(name)
-        if min(abs(r["figures"][name]) for r in records) > 0.0:
-            axes.set_xscale("log")
-    figure.axes[0].set_ylabel("cost on the rig, mrad")
+    figure = Figure(figsize=(2.4 * len(names), 2.1 * len(TASKS)), layout="constrained")
+    for row, task in zip(figure.subplots(len(TASKS), len(names), sharey="row"), TASKS, strict=True):
+        own = [r["tasks"][task.name] for r in records]
+        for axes, name in zip(row, names, strict=True):
+            shown = [abs((r["figures"] | o["figures"])[name]) for r, o in zip(records, own, strict=True)]
+            axes.plot(shown, [task.scale * o["on_rig"] for o in own], "o", ms=4)
+            axes.set_xlabel(name, fontsize=8)
+            axes.set_yscale("log")
+            if min(shown) > 0.0:
+                axes.set_xscale("log")
+        row[0].set_ylabel(f"{task.name}, {task.unit}", fontsize=8)
     save_svg(figure, file)
 
 
 def main() -> None:
-    """Runs the study and prints the table."""
+    """Runs the study and prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=100_000)
     parser.add_argument("--quick", action="store_true", help="six models and short searches")
     parser.add_argument("--budget", type=int, default=BUDGET, help="evaluations of each calibration (default: 150)")
-    parser.add_argument("--generations", type=int, default=GENERATIONS, help="of each tuning (default: 25)")
+    parser.add_argument("--generations", type=int, default=GENERATIONS, help="of each tuning (default: 14)")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--svg", type=Path, help="draw the rig's cost over some figures")
     given = parser.parse_args()
-    started, play = time.monotonic(), recorded(fitted_command(), given.seed)
-    held = recorded(judged_command(), given.seed + 2)
-    records: list[dict[str, Any]] = []
-    budget, generations = (60, 6) if given.quick else (given.budget, given.generations)
-    for graded in models(play, given.quick, budget):
-        values, in_model = tuned(graded.model, given.seed % 2**31, generations)
-        figures = judged_figures(graded.model, play, held)
-        records.append({"model": graded.name, "in_model": in_model, "on_rig": on_rig(values, given.seed + 1),
-                        "controller": values.tolist(), "figures": figures})  # fmt: skip
-        r = records[-1]
-        print(f"{r['model']:45s} in the model {1e3 * in_model:6.2f}, on the rig {1e3 * r['on_rig']:6.2f} mrad, RMSE "
-              f"{1e3 * r['figures']['rmse']:6.2f} mrad, k = 3 {-r['figures']['alikeness k=3']:.3f}, floors "
-              f"{r['figures']['floors']:.3g}", flush=True)  # fmt: skip
+    budget, generations, tunings, count = given.budget, given.generations, TUNINGS, PROBES
+    if given.quick:
+        budget, generations, tunings, count = 60, 2, 1, 4
+    started, seed, records = time.monotonic(), given.seed, list[dict[str, Any]]()
+    setting = {"quick": given.quick, "seed": seed, "budget": budget, "generations": generations,
+               "tunings": tunings, "probes": count}  # fmt: skip
+    recording, held = recorded(fitted_command(), seed), recorded(judged_command(), seed + 2)
+    probes: dict[str, Probes] = {t.name: probes_of(t, rig(), count, seed + 3) for t in TASKS}
+    extra: dict[str, dict[str, Any]] = {n: {"probes": p.costs.tolist()} for n, p in probes.items()}
+
+    def write() -> dict[str, Any]:
+        content = setting | {"seconds": round(time.monotonic() - started)} | summary(records, extra)
         if given.json:
-            given.json.write_text(json.dumps({"models": records}, indent=1) + "\n", encoding="utf-8")
-    names = list(records[0]["figures"])
-    columns = {n: [r["figures"][n] for r in records] for n in names}
-    spearman = {n: correlation(columns[n], [r["on_rig"] for r in records]) for n in names}
-    gap = {n: correlation(columns[n], [r["on_rig"] - r["in_model"] for r in records]) for n in names}
-    print(f"\n{len(records)} models in {time.monotonic() - started:.0f} s\n")
-    print(f"{'figure':16s}{'rig':>8s}  {'95 %':16s}{'rig - model':>12s}")
-    for name in names:
-        value, low, high = spearman[name]
-        print(f"{name:16s}{value:8.3f}  {f'{low:.2f} to {high:.2f}':16s}{gap[name][0]:12.3f}")
-    if given.json:
-        content = {
-            "spearman": spearman, "spearman_gap": gap,
-            **{f"{n}{w}_spearman": spearman[(n + w).replace("_", " ")]
-               for n in ("rmse", "floors") for w in ("", "_fitted")},
-            "quick": given.quick, "seed": given.seed, "models": records,
-        }  # fmt: skip
-        given.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            given.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        return content
+
+    graded = list[Model]()
+    for each in models(recording, given.quick, budget):
+        figures = figures_of_recordings(each.model, recording, held)
+        values = {n: v for n, v in each.model.values().items() if n.startswith(("drive.x.", *RIGHT, *WRONG))}
+        graded.append(each.model)
+        records.append({"model": each.name, "values": values, "figures": figures, "tasks": {}})
+        print(f"{time.monotonic() - started:5.0f} s  {each.name}: RMSE {1e3 * figures['rmse']:.2f} mrad, half of the "
+              f"samples alike at k = {figures['k half']:.3g}", flush=True)  # fmt: skip
+    for task in TASKS:
+        if not given.quick:
+            extra[task.name]["tuned_on_rig"] = tuned_on_rig(task, seed, generations)
+        for record, model in zip(records, graded, strict=True):
+            found = [tuned(task, partial(in_model, task, model, seed=seed + n), seed + n, generations)
+                     for n in range(tunings)]  # fmt: skip
+            record["tasks"][task.name] = {
+                "controllers": [values.tolist() for values, _ in found],
+                "in_model": float(np.mean([cost for _, cost in found])),
+                "figures": figures_of_probes(model, probes[task.name]),
+            }
+            write()
+        best = np.array([r["tasks"][task.name]["controllers"] for r in records])
+        judged = on_rig(task, play(task, rig(), best.reshape(-1, best.shape[2]), TRIALS, seed + 1))
+        for record, costs in zip(records, judged.reshape(best.shape[:2]), strict=True):
+            record["tasks"][task.name] |= {"on_rig": float(costs.mean()), "on_rig_each": costs.tolist()}
+        print(f"{time.monotonic() - started:5.0f} s  {task.name}: done", flush=True)
+    content = write()
+    print("\n" + tables(content))
     if given.svg:
-        write_picture(records, ("alikeness k=3", "rmse", "floors", "remaining"), given.svg)
+        write_picture(records, SHOWN, given.svg)
 
 
 if __name__ == "__main__":

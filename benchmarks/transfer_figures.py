@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures that may tell beforehand how well a controller transfers from a model to the rig. All rise as it gets worse.
+
+On a recording that no fit has seen, the same for all tasks:
+
+    alikeness k=1 ... k=5   share of samples alike in all signals, with its sign turned
+    k half, k 90 %          factor k at which half, and nine tenths, of the samples are alike in all signals
+    rmse, board rmse        root mean square error of all signals; of the board alone
+    band rmse               of the board between 0.5 and 5 Hz, where feedback acts; a constant error is no part of it
+    error                   equation 10, mean over the signals
+    floors, remaining       mean square over the noise floor; that of the worst signal
+
+On the recording by which models were calibrated: rmse fitted, floors fitted.
+
+From probes, which are controllers of the task drawn at random and played on the rig once:
+
+    probes' rmse            error of the board where the model gets the commands that the rig got
+    probes' cost            root mean square of the logarithm of the cost in the model over that on the rig
+    probes' promise         mean of that logarithm where the model promises less cost than the rig has, turned positive
+    probes' order           1 less Spearman's correlation of the costs in the model with those on the rig
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import rankdata
+from transfer_tasks.task import BOARD_STEP, RATE, Array, Task, in_model, on_rig, play
+
+from eps_tunnel_analysis.alikeness import KS, alikeness_over_k
+from eps_tunnel_analysis.compare import Comparison, compare
+from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
+from eps_tunnel_analysis.simulated import Play, roll_out
+from labyrinth_hw.testbed.hidden import TestbedConfig
+from labyrinth_sim.model import Model
+from labyrinth_sim.simulate import simulate_batch
+
+SIGNALS = ("motor_x", "board_x")
+BAND = (0.5, 5.0)  # Hz
+FACTORS = np.geomspace(0.1, 1e4, 251)
+AROUND = 0.35  # share of the bounds, about where tuning starts, from which probes are drawn
+DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Probes:
+    """Controllers of a task and what the rig did with them.
+
+    Attributes:
+        task: which.
+        values: (n, v).
+        costs: (n,) on the rig.
+        commands, board: (n, T, 2) rad, of one trial each.
+        seed: of the noise in the model.
+    """
+
+    task: Task
+    values: Array
+    costs: Array
+    commands: Array
+    board: Array
+    seed: int
+
+
+def probes_of(task: Task, rig: TestbedConfig, count: int, seed: int) -> Probes:
+    """Draws `count` controllers and plays them."""
+    drawn = np.random.default_rng(seed).uniform(-AROUND, AROUND, (count, len(task.begin)))
+    values = task.of_shares(task.begin + drawn)
+    runs = play(task, rig, values, 2, seed)
+    commands, board = (np.stack([getattr(run, name)[0] for run in runs]) for name in ("commands", "board"))
+    return Probes(task, values, on_rig(task, runs), commands, board, seed)
+
+
+def figures_of_probes(model: Model, probes: Probes) -> dict[str, float]:
+    """What probes say of a model."""
+    costs = in_model(probes.task, model, probes.values, probes.seed)
+    replayed = simulate_batch(model, (), np.empty((1, 0)), probes.task.time, probes.commands, {}, nthread=1,
+                              signals=("board_x", "board_y"), with_ball=False, timestep=BOARD_STEP)  # fmt: skip
+    return {
+        "probes' rmse": float(np.sqrt(np.mean((replayed.values[0] - probes.board) ** 2))),
+        "probes' cost": float(np.sqrt(np.mean(np.log(costs / probes.costs) ** 2))),
+        "probes' promise": float(np.mean(np.maximum(np.log(probes.costs / costs), 0.0))),
+        "probes' order": 1.0 - float(ranked(costs[None], probes.costs[None])[0]),
+    }
+
+
+def figures_of_recordings(model: Model, fitted: Play, held: Play) -> dict[str, float]:
+    """Figures of a model on a recording that was not fitted, and RMSE and floors on the one that was beside them."""
+    seen = _figures(model, fitted)
+    return _figures(model, held) | {f"{name} fitted": seen[name] for name in ("rmse", "floors")}
+
+
+def _figures(model: Model, recorded: Play) -> dict[str, float]:
+    shown = compare(recorded.trials, roll_out(model, recorded), KS, signals=SIGNALS)
+    board = SIGNALS.index("board_x")
+    rms = np.array([e.rms for e in shown.errors])
+    evidence = Evidence(model, (), [play_evidence(model, recorded, SIGNALS)], SIGNALS, 1.0 / (4.0 * RATE), 1)
+    squares = (evidence(np.empty((1, 0)))[0] / evidence.floor) ** 2
+    return {
+        **{f"alikeness k={a.k_real:g}": -a.joint for a in shown.alikeness},
+        "k half": factor_at(shown, 0.5),
+        "k 90 %": factor_at(shown, 0.9),
+        "rmse": float(np.sqrt(np.mean(rms**2))),
+        "board rmse": float(rms[board]),
+        "band rmse": in_band(recorded.trials.values[:, :, board] - shown.sim.values[:, :, board]),
+        "error": float(np.mean([e.command_error for e in shown.errors])),
+        "floors": float(np.mean(squares)),
+        "remaining": max(float(np.mean(squares[evidence.blocks == i])) for i in range(len(SIGNALS))),
+    }
+
+
+def factor_at(shown: Comparison, share: float) -> float:
+    """The factor k at which this share of samples is alike in all signals; the largest tried where it never is."""
+    joint = np.array([a.joint for a in alikeness_over_k(shown.real_tunnel, shown.sim_tunnel, FACTORS)])
+    return float(np.exp(np.interp(share, np.maximum.accumulate(joint), np.log(FACTORS))))
+
+
+def in_band(errors: Array) -> float:
+    """Root mean square of errors (p, T) within BAND."""
+    parts = np.fft.rfft(errors, axis=1)
+    hertz = np.fft.rfftfreq(errors.shape[1], 1.0 / RATE)
+    parts[:, (hertz < BAND[0]) | (hertz > BAND[1])] = 0.0
+    return float(np.sqrt(np.mean(np.fft.irfft(parts, errors.shape[1], axis=1) ** 2)))
+
+
+def ranked(a: Array, b: Array) -> Array:
+    """(n,) Spearman's rank correlation of rows (n, m); NaN where a row holds one value only."""
+    x, y = (rankdata(rows, axis=1) for rows in (a, b))
+    x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+    size = np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1))
+    return np.asarray(np.where(size > 0.0, (x * y).sum(axis=1) / np.where(size > 0.0, size, 1.0), np.nan))
+
+
+def correlation(x: Sequence[Array], y: Sequence[Array]) -> list[float]:
+    """Spearman's rank correlation of x with y over the models, and its 95 % interval by bootstrap over the models.
+
+    Args:
+        x, y: for each of t tasks (m,) of m models; of several tasks it is their mean.
+    """
+    rng, models = np.random.default_rng(0), len(x[0])
+    drawn = rng.integers(models, size=(DRAWS, models))
+    value = float(np.mean([ranked(a[None], b[None])[0] for a, b in zip(x, y, strict=True)]))
+    draws = np.mean([ranked(a[drawn], b[drawn]) for a, b in zip(x, y, strict=True)], axis=0)
+    if not np.isfinite(draws).any():
+        return [value, float("nan"), float("nan")]
+    low, high = np.nanquantile(draws, (0.025, 0.975))
+    return [value, float(low), float(high)]
