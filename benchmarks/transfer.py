@@ -13,13 +13,15 @@ figures.
                         mean over the tasks; of alikeness, which falls as cost rises, with its sign turned
     spearman_gap        the same with what the rig's cost is above the model's own
     spearman_distance   the same with how far apart the two are, whichever is higher
-    tasks               all for each task alone; the cost of the same controller tuned on the rig itself; the probes
+    spearman_together   with the geometric mean of a model's costs of all tasks; a figure of each task by its mean rank
+    tasks               the first three for each task alone; the cost of the same controller tuned on the rig itself;
+                        the probes; how well one tuning's costs on the rig rank another's
     rmse_spearman       that of the error on the recording held out; rmse_fitted_spearman on the other
     floors_spearman     that of the mean square over the noise floor, likewise; floors_fitted_spearman
     best                the figure with the highest correlation
 
-The file is written anew after every step, with the correlations of the tasks that are through, so that a run that is
-cut off loses nothing.
+The file is written anew after every step, with the correlations of the tasks that are through. A run that was cut off
+goes on with `--resume`, after the last task that was through.
 """
 
 import argparse
@@ -34,9 +36,18 @@ from typing import Any
 import cma
 import numpy as np
 import testbed_cases
-from transfer_figures import SIGNALS, Probes, correlation, figures_of_probes, figures_of_recordings, probes_of
+from scipy.stats import rankdata
+from transfer_figures import (
+    SIGNALS,
+    Probes,
+    correlation,
+    figures_of_probes,
+    figures_of_recordings,
+    probes_of,
+    repeatability,
+)
 from transfer_tasks import TASKS
-from transfer_tasks.task import REPEATS, TRIALS, Array, Task, in_model, on_rig, play
+from transfer_tasks.task import TRIALS, Array, Task, in_model, on_rig, play
 
 from eps_tunnel_analysis.fit.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.methods import GaussNewton
@@ -46,12 +57,15 @@ from labyrinth_hw.testbed.hidden import TestbedConfig, hide
 from labyrinth_sim.model import Model, load_model
 
 RIGHT = ("backlash.x", "coulomb_friction.x", "gravity_load.x")
-WRONG = ("sensor_lag.board_x", "return_spring.x", "viscous_friction.x", "gain_error.x", "dead_band.x")
+STRENGTHS = ("backlash.x.width", "coulomb_friction.x.torque", "gravity_load.x.moment")
+BIASED = ("sensor_bias.motor_x", "sensor_bias.board_x")  # what a load out of balance looks like to the sensors
+WRONG = (("viscous_friction.x",), ("dead_band.x",), ("sensor_lag.board_x", "return_spring.x"), BIASED,
+         (*BIASED, "dead_band.x"))  # fmt: skip
 DRIVE = ("drive.x.p", "drive.x.d", "drive.x.delay")
-GENERATIONS, POPULATION, TUNINGS = 14, 12, 2
+POPULATION, TUNINGS = 12, 2
 SPREAD = 0.2  # share of the bounds, of the first generation
 BUDGET = 150  # evaluations of each calibration
-PROBES = 12  # of each task
+PROBES = 20  # of each task
 TARGETS: dict[str, Callable[[float, float], float]] = {
     "spearman": lambda on_rig, in_model: on_rig,
     "spearman_gap": lambda on_rig, in_model: on_rig - in_model,
@@ -102,11 +116,11 @@ def recorded(command: Command, seed: int) -> Play:
 def models(recording: Play, quick: bool, budget: int) -> Iterator[GradedModel]:
     """Graded models: by textbook, with wrong gains, calibrated, with right and with wrong effects."""
     known = load_model("labyrinth_mx64")
-    given = [GradedModel("standard", load_model("labyrinth")), GradedModel("data sheet", known)]
-    for p, delay in ((6.0, 0.02), (12.0, 0.0), (12.0, 0.04), (25.0, 0.02), (17.0, 0.05)):
-        given.append(GradedModel(f"P {p:g}, delay {delay:g}", known.with_values({DRIVE[0]: p, DRIVE[2]: delay})))
-    yield from given[:3] if quick else given
-    sets = ((), *((name,) for name in (*RIGHT, *WRONG)), RIGHT[:2], RIGHT[1:], RIGHT, WRONG[:2])
+    yield GradedModel("standard", load_model("labyrinth"))
+    yield GradedModel("data sheet", known)
+    for p, delay in ((6.0, 0.02),) if quick else ((6.0, 0.02), (12.0, 0.04), (25.0, 0.02)):
+        yield GradedModel(f"P {p:g}, delay {delay:g}", known.with_values({DRIVE[0]: p, DRIVE[2]: delay}))
+    sets = ((), *WRONG, *((name,) for name in RIGHT), RIGHT[:2], RIGHT[::2], RIGHT[1:], RIGHT)
     for effects in ((), RIGHT[:1], RIGHT) if quick else sets:
         model, free = known, list(DRIVE)
         for name in effects:
@@ -115,7 +129,12 @@ def models(recording: Play, quick: bool, budget: int) -> Iterator[GradedModel]:
             free += [f"{name}.{p.name}" for p in model.registry.effect(effect).parameters if p.fitted]
         method = GaussNewton(scouts=24, starts=2, polish=40)
         fit = calibrate(model, free, [recording], Settings(method=method, signals=SIGNALS, budget=budget, nthread=1))
-        yield GradedModel(" + ".join(("calibrated", *effects)), model.with_values(fit.values))
+        model = model.with_values(fit.values)
+        yield GradedModel(" + ".join(("calibrated", *effects)), model)
+    if not quick:  # of the last, which has all that is right
+        for factor in (0.5, 1.5):
+            scaled = {n: factor * model.values()[n] for n in STRENGTHS}
+            yield GradedModel(f"right effects, {factor:g} of each", model.with_values(scaled))
 
 
 def tuned(task: Task, cost: Callable[[Array], Array], seed: int, generations: int) -> tuple[Array, float]:
@@ -130,7 +149,7 @@ def tuned(task: Task, cost: Callable[[Array], Array], seed: int, generations: in
 
 def tuned_on_rig(task: Task, seed: int, generations: int) -> float:
     """Cost of the controller that is tuned on the rig itself: what a perfect model would reach."""
-    values, _ = tuned(task, lambda v: on_rig(task, play(task, rig(), v, REPEATS, seed)), seed, generations)
+    values, _ = tuned(task, lambda v: on_rig(task, play(task, rig(), v, task.repeats, seed)), seed, generations)
     return float(on_rig(task, play(task, rig(), values[None], TRIALS, seed + 1))[0])
 
 
@@ -152,39 +171,77 @@ def summary(records: Sequence[dict[str, Any]], extra: dict[str, dict[str, Any]])
         ranks[word] = {"": {n: correlation(*columns[n]) for n in names}}
         for i, task in enumerate(through):
             ranks[word][task] = {n: correlation(x[i : i + 1], y[i : i + 1]) for n, (x, y) in columns.items()}
-    content["tasks"] = {n: own | ({w: ranks[w][n] for w in ranks} if n in through else {}) for n, own in extra.items()}
+    costs = np.log([[r["tasks"][t]["on_rig"] for r in records] for t in through]).mean(axis=0)
+    ranks["together"] = {
+        "": {n: correlation([rankdata(x, axis=1).mean(axis=0)], [costs]) for n, (x, _) in columns.items()}
+    }
+    content["tasks"] = {
+        n: own | ({w: ranks[w][n] for w in TARGETS} if n in through else {}) for n, own in extra.items()
+    }
     spearman = ranks["spearman"][""]
     return content | {
         "spearman": spearman, **{w: ranks[w][""] for w in TARGETS if w != "spearman"},
+        "spearman_together": ranks["together"][""],
         **{f"{n}{w}_spearman": spearman[(n + w).replace("_", " ")]
            for n in ("rmse", "floors") for w in ("", "_fitted")},
         "best": max(names, key=lambda n: np.nan_to_num(spearman[n][0], nan=-1.0)),
     }  # fmt: skip
 
 
+def finished(
+    content: dict[str, Any], setting: dict[str, Any]
+) -> dict[str, tuple[dict[str, Any], list[dict[str, Any]]]]:
+    """Task -> what is told of it, and its result for each model, of the tasks that are through in an earlier run.
+
+    Raises:
+        ValueError: the earlier run had other settings.
+    """
+    other = {n: content.get(n) for n, value in setting.items() if content.get(n) != value}
+    if other:
+        raise ValueError(f"The earlier run had {other}, this one has {setting}.")
+    found = {}
+    for name, told in content["tasks"].items():
+        own = [r["tasks"].get(name, {}) for r in content["models"]]
+        if own and all("on_rig" in o for o in own):
+            found[name] = {n: v for n, v in told.items() if n not in TARGETS}, own
+    return found
+
+
 def tables(content: dict[str, Any]) -> str:
     """What was found, for the terminal and the page."""
     per, rows = content["tasks"], content["models"]
-    units = {t.name: t for t in TASKS}
-    lines = ["Cost on the rig, and in the model in brackets:", "", "".join(
-        [f"{'':41s}", *(f"{n + ', ' + t.unit:>28s}" for n, t in units.items())])]  # fmt: skip
-    if all("tuned_on_rig" in per[n] for n in units):
-        best = [f"{t.scale * per[n]['tuned_on_rig']:18.2f}{'':10s}" for n, t in units.items()]
-        lines.append(f"{'tuned on the rig itself':41s}" + "".join(best))
+    names = [t.name for t in TASKS]
+    wide = "".join(f"{n:>21s}" for n in names)
+    units = ", ".join(f"{t.name} in {t.unit}" for t in TASKS)
+    lines = [f"Cost on the rig, and in the model in brackets; {units}:", "", f"{'':34s}" + wide]
+    if all("tuned_on_rig" in per[n] for n in names):
+        best = "".join(f"{t.scale * per[t.name]['tuned_on_rig']:13.2f}{'':8s}" for t in TASKS)
+        lines.append(f"{'tuned on the rig itself':34s}" + best)
     for r in rows:
-        own = [(t, r["tasks"][n]) for n, t in units.items() if n in r["tasks"]]
-        name = r["model"].replace("coulomb_", "").replace("calibrated", "cal.")
-        lines.append(f"{name:41s}" + "".join(
-            f"{t.scale * o['on_rig']:18.2f} ({t.scale * o['in_model']:6.2f}) " for t, o in own))  # fmt: skip
-    titles = ("the cost on the rig", "what that is above the model's", "how far it is from the model's")
+        own = [(t.scale * r["tasks"][t.name]["on_rig"], t.scale * r["tasks"][t.name]["in_model"]) for t in TASKS]
+        lines.append(f"{short(r['model']):34s}" + "".join(f"{a:13.2f} {f'({b:.2f})':7s}" for a, b in own))
+    if all("repeatability" in per[n] for n in names):
+        lines.append(f"{'one tuning ranks another':34s}" + "".join(
+            f"{per[n]['repeatability']:13.2f}{'':8s}" for n in names))  # fmt: skip
+    titles = ("the cost on the rig", "what that is above the model's own", "how far it is from the model's own")
     for word, title in zip(TARGETS, titles, strict=True):
-        lines += ["", f"Spearman's correlation of a figure with {title}, over {len(rows)} models:", "",
-                  f"{'':16s}{'mean':>6s}  {'95 %':15s}" + "".join(f"{n:>22s}" for n in units)]  # fmt: skip
+        together = content["spearman_together"] if word == "spearman" else {}
+        last = f"{'together':>10s}" if together else ""
+        lines += ["", f"Spearman's correlation with {title}, over {len(rows)} models:", "",
+                  f"{'':17s}{'mean':>6s}  {'95 %':15s}" + wide + last]  # fmt: skip
         for name, (value, low, high) in content[word].items():
-            own = [per[n][word][name][0] for n in units]
-            lines.append(f"{name:16s}{value:6.2f}  {f'{low:.2f} to {high:.2f}':15s}"
-                         + "".join(f"{v:22.2f}" for v in own))  # fmt: skip
+            own_ranks = "".join(f"{per[n][word][name][0]:21.2f}" for n in names)
+            also = f"{together[name][0]:10.2f}" if together else ""
+            lines.append(f"{name:17s}{value:6.2f}  {f'{low:.2f} to {high:.2f}':15s}{own_ranks}{also}")
     return "\n".join(lines)
+
+
+def short(model: str) -> str:
+    """A model's name without what all of its kind have."""
+    for long, word in (("calibrated + ", "+ "), (".motor_x + sensor_bias.board_x", "es"), (".board_x", ""), (".x", ""),
+                       ("_friction", ""), ("_load", ""), ("_", " ")):  # fmt: skip
+        model = model.replace(long, word)
+    return model
 
 
 def write_picture(records: Sequence[dict[str, Any]], names: Sequence[str], file: Path) -> None:
@@ -213,8 +270,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=100_000)
     parser.add_argument("--quick", action="store_true", help="six models and short searches")
     parser.add_argument("--budget", type=int, default=BUDGET, help="evaluations of each calibration (default: 150)")
-    parser.add_argument("--generations", type=int, default=GENERATIONS, help="of each tuning (default: 14)")
+    parser.add_argument("--generations", type=int, help="of each tuning (default: the task's own)")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--resume", action="store_true", help="go on with what the file of --json has")
     parser.add_argument("--svg", type=Path, help="draw the rig's cost over some figures")
     given = parser.parse_args()
     budget, generations, tunings, count = given.budget, given.generations, TUNINGS, PROBES
@@ -223,9 +281,12 @@ def main() -> None:
     started, seed, records = time.monotonic(), given.seed, list[dict[str, Any]]()
     setting = {"quick": given.quick, "seed": seed, "budget": budget, "generations": generations,
                "tunings": tunings, "probes": count}  # fmt: skip
+    before = finished(json.loads(given.json.read_text(encoding="utf-8")), setting) if given.resume else {}
     recording, held = recorded(fitted_command(), seed), recorded(judged_command(), seed + 2)
-    probes: dict[str, Probes] = {t.name: probes_of(t, rig(), count, seed + 3) for t in TASKS}
-    extra: dict[str, dict[str, Any]] = {n: {"probes": p.costs.tolist()} for n, p in probes.items()}
+    left = [t for t in TASKS if t.name not in before]
+    probes: dict[str, Probes] = {t.name: probes_of(t, rig(), count, seed + 3) for t in left}
+    extra: dict[str, dict[str, Any]] = {n: told for n, (told, _) in before.items()}
+    extra |= {n: {"probes": p.costs.tolist()} for n, p in probes.items()}
 
     def write() -> dict[str, Any]:
         content = setting | {"seconds": round(time.monotonic() - started)} | summary(records, extra)
@@ -236,27 +297,33 @@ def main() -> None:
     graded = list[Model]()
     for each in models(recording, given.quick, budget):
         figures = figures_of_recordings(each.model, recording, held)
-        values = {n: v for n, v in each.model.values().items() if n.startswith(("drive.x.", *RIGHT, *WRONG))}
+        values = {n: v for n, v in each.model.values().items() if n.startswith(("drive.x.", *RIGHT, *sum(WRONG, ())))}
         graded.append(each.model)
         records.append({"model": each.name, "values": values, "figures": figures, "tasks": {}})
         print(f"{time.monotonic() - started:5.0f} s  {each.name}: RMSE {1e3 * figures['rmse']:.2f} mrad, half of the "
               f"samples alike at k = {figures['k half']:.3g}", flush=True)  # fmt: skip
-    for task in TASKS:
+    for name, (_, results) in before.items():
+        for record, result in zip(records, results, strict=True):
+            record["tasks"][name] = result
+    for task in left:
+        most = generations or task.generations
         if not given.quick:
-            extra[task.name]["tuned_on_rig"] = tuned_on_rig(task, seed, generations)
+            extra[task.name]["tuned_on_rig"] = tuned_on_rig(task, seed, most)
         for record, model in zip(records, graded, strict=True):
-            found = [tuned(task, partial(in_model, task, model, seed=seed + n), seed + n, generations)
+            found = [tuned(task, partial(in_model, task, model, seed=seed + n), seed + n, most)
                      for n in range(tunings)]  # fmt: skip
+            own = float(np.mean([cost for _, cost in found]))
             record["tasks"][task.name] = {
                 "controllers": [values.tolist() for values, _ in found],
-                "in_model": float(np.mean([cost for _, cost in found])),
-                "figures": figures_of_probes(model, probes[task.name]),
+                "in_model": own,
+                "figures": {"own cost": own, **figures_of_probes(model, probes[task.name])},
             }
             write()
         best = np.array([r["tasks"][task.name]["controllers"] for r in records])
         judged = on_rig(task, play(task, rig(), best.reshape(-1, best.shape[2]), TRIALS, seed + 1))
         for record, costs in zip(records, judged.reshape(best.shape[:2]), strict=True):
             record["tasks"][task.name] |= {"on_rig": float(costs.mean()), "on_rig_each": costs.tolist()}
+        extra[task.name]["repeatability"] = repeatability(judged.reshape(best.shape[:2]))
         print(f"{time.monotonic() - started:5.0f} s  {task.name}: done", flush=True)
     content = write()
     print("\n" + tables(content))

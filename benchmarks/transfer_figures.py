@@ -12,8 +12,12 @@ On a recording that no fit has seen, the same for all tasks:
 
 On the recording by which models were calibrated: rmse fitted, floors fitted.
 
+Without the rig: the cost that the tuned controller has in the model, own cost.
+
 From probes, which are controllers of the task drawn at random and played on the rig once:
 
+    probes' track           root mean square distance between the model's and the rig's board, or ball where there is
+                            one, each with its own feedback; median over the probes
     probes' rmse            error of the board where the model gets the commands that the rig got
     probes' cost            root mean square of the logarithm of the cost in the model over that on the rig
     probes' promise         mean of that logarithm where the model promises less cost than the rig has, turned positive
@@ -22,10 +26,11 @@ From probes, which are controllers of the task drawn at random and played on the
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.stats import rankdata
-from transfer_tasks.task import BOARD_STEP, RATE, Array, Task, in_model, on_rig, play
+from transfer_tasks.task import BOARD_STEP, RATE, Array, Task, on_rig, play, tracks_in_model
 
 from eps_tunnel_analysis.alikeness import KS, alikeness_over_k
 from eps_tunnel_analysis.compare import Comparison, compare
@@ -51,6 +56,7 @@ class Probes:
         values: (n, v).
         costs: (n,) on the rig.
         commands, board: (n, T, 2) rad, of one trial each.
+        tracks: (n, T, 2) rad of the board, or m of the ball where there is one, of the same trial.
         seed: of the noise in the model.
     """
 
@@ -59,6 +65,7 @@ class Probes:
     costs: Array
     commands: Array
     board: Array
+    tracks: Array
     seed: int
 
 
@@ -68,15 +75,22 @@ def probes_of(task: Task, rig: TestbedConfig, count: int, seed: int) -> Probes:
     values = task.of_shares(task.begin + drawn)
     runs = play(task, rig, values, 2, seed)
     commands, board = (np.stack([getattr(run, name)[0] for run in runs]) for name in ("commands", "board"))
-    return Probes(task, values, on_rig(task, runs), commands, board, seed)
+    tracks = board if task.starts is None else np.stack([run.ball[0] for run in runs if run.ball is not None])
+    return Probes(task, values, on_rig(task, runs), commands, board, tracks, seed)
 
 
 def figures_of_probes(model: Model, probes: Probes) -> dict[str, float]:
     """What probes say of a model."""
-    costs = in_model(probes.task, model, probes.values, probes.seed)
-    replayed = simulate_batch(model, (), np.empty((1, 0)), probes.task.time, probes.commands, {}, nthread=1,
+    task = probes.task
+    boards, balls, failed = tracks_in_model(task, model, probes.values, probes.seed)
+    costs = np.where(failed, task.worst, task.cost(boards, balls)).reshape(-1, task.repeats).mean(axis=1)
+    tracks = (boards if balls is None else balls)[:: task.repeats]
+    apart = np.nan_to_num(np.linalg.norm(tracks - probes.tracks, axis=2), nan=task.worst)
+    apart[np.isnan(tracks).any(axis=2) & np.isnan(probes.tracks).any(axis=2)] = 0.0  # lost on both sides
+    replayed = simulate_batch(model, (), np.empty((1, 0)), task.time, probes.commands, {}, nthread=1,
                               signals=("board_x", "board_y"), with_ball=False, timestep=BOARD_STEP)  # fmt: skip
     return {
+        "probes' track": float(np.median(np.sqrt(np.mean(apart**2, axis=1)))),
         "probes' rmse": float(np.sqrt(np.mean((replayed.values[0] - probes.board) ** 2))),
         "probes' cost": float(np.sqrt(np.mean(np.log(costs / probes.costs) ** 2))),
         "probes' promise": float(np.mean(np.maximum(np.log(probes.costs / costs), 0.0))),
@@ -94,7 +108,7 @@ def _figures(model: Model, recorded: Play) -> dict[str, float]:
     shown = compare(recorded.trials, roll_out(model, recorded), KS, signals=SIGNALS)
     board = SIGNALS.index("board_x")
     rms = np.array([e.rms for e in shown.errors])
-    evidence = Evidence(model, (), [play_evidence(model, recorded, SIGNALS)], SIGNALS, 1.0 / (4.0 * RATE), 1)
+    evidence = Evidence(model, (), [play_evidence(model, recorded, SIGNALS)], SIGNALS, BOARD_STEP, 1)
     squares = (evidence(np.empty((1, 0)))[0] / evidence.floor) ** 2
     return {
         **{f"alikeness k={a.k_real:g}": -a.joint for a in shown.alikeness},
@@ -145,3 +159,13 @@ def correlation(x: Sequence[Array], y: Sequence[Array]) -> list[float]:
         return [value, float("nan"), float("nan")]
     low, high = np.nanquantile(draws, (0.025, 0.975))
     return [value, float(low), float(high)]
+
+
+def repeatability(costs: Array) -> float:
+    """Spearman's correlation over the models between tunings of costs (m, n), mean over pairs; NaN with one tuning.
+
+    Figures of a model are the same in every tuning: what one tuning's costs say of another's, no figure can exceed by
+    much.
+    """
+    pairs = list(combinations(costs.T, 2))
+    return float(np.mean([ranked(a[None], b[None])[0] for a, b in pairs])) if pairs else float("nan")

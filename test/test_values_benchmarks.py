@@ -21,7 +21,15 @@ from transfer_figures import correlation, ranked
 from transfer_tasks import TASKS
 from transfer_tasks.task import in_model, on_rig, play
 
-FIGURES = ("rmse", "error", "floors", "remaining", "k half", "probes' cost", *(f"alikeness k={k}" for k in range(1, 6)))
+FIGURES = (
+    "rmse",
+    "error",
+    "floors",
+    "remaining",
+    "k half",
+    "probes' track",
+    *(f"alikeness k={k}" for k in range(1, 6)),
+)
 
 
 def written(monkeypatch: pytest.MonkeyPatch, program: Any, folder: Path, *more: str) -> dict[str, Any]:
@@ -44,7 +52,8 @@ def test_transfer_ranks_models_by_a_recording_that_was_not_fitted(monkeypatch, t
     assert content["floors_spearman"] == content["spearman"]["floors"]
     assert content["floors_fitted_spearman"] == content["spearman"]["floors fitted"]
     assert content["spearman"][content["best"]][0] == max(v for v, _, _ in content["spearman"].values() if v == v)
-    assert set(content["spearman_gap"]) == set(content["spearman_distance"]) == set(content["spearman"])
+    for more in ("spearman_gap", "spearman_distance", "spearman_together"):
+        assert set(content[more]) == set(content["spearman"])
     shown = {m["model"]: m["figures"] for m in content["models"]}
     assert len(shown) == 6
     assert set(content["tasks"]) == {"board, feed-forward", "board, feedback", "ball, held", "ball, path"}
@@ -58,6 +67,15 @@ def test_transfer_ranks_models_by_a_recording_that_was_not_fitted(monkeypatch, t
     held = {m["model"]: m["tasks"]["ball, held"]["on_rig"] for m in content["models"]}
     assert held["calibrated + backlash.x + coulomb_friction.x + gravity_load.x"] < 0.3 * held["standard"]
     assert (tmp_path / "out.svg").is_file()
+    # A run that goes on from here has every task behind it.
+    setting = {name: content[name] for name in ("quick", "seed", "probes")}
+    assert {n: own for n, (_, own) in transfer.finished(content, setting).items()} == {
+        n: [m["tasks"][n] for m in content["models"]] for n in content["tasks"]
+    }
+    del content["models"][2]["tasks"]["ball, held"]["on_rig"]
+    assert set(content["tasks"]) - set(transfer.finished(content, setting)) == {"ball, held"}
+    with pytest.raises(ValueError, match="seed"):
+        transfer.finished(content, setting | {"seed": 1})
 
 
 def test_the_judged_command_stays_within_what_was_fitted_and_is_another() -> None:

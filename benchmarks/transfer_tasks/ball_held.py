@@ -26,7 +26,7 @@ TASK = Task(
     name="ball, held",
     unit="mm",
     scale=1e3,
-    duration=4.5,
+    duration=4.0,
     values=ball_control.NAMES,
     low=ball_control.LOW,
     high=ball_control.HIGH,
@@ -34,5 +34,6 @@ TASK = Task(
     control=control,
     cost=cost,
     worst=ball_control.LOST,
+    generations=25,
     starts=((0.118, 0.165), (0.148, 0.066)),
 )

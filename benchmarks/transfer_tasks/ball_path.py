@@ -6,8 +6,11 @@ import numpy as np
 from transfer_tasks import ball_control
 from transfer_tasks.task import RATE, Array, Control, Task
 
-PATH = np.array([(0.13, 0.2205), (0.057, 0.2205), (0.057, 0.16), (0.072, 0.144)])  # m
+PATH = np.array([(0.09, 0.2205), (0.057, 0.2205), (0.057, 0.16), (0.072, 0.144), (0.072, 0.105)])  # m
 PACE = 0.045  # m/s
+ROUND = (
+    PATH[0, 0] - PATH[1, 0]
+) / PACE  # s, when the point is round the first corner; from there on the distance counts
 _AT = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(PATH, axis=0), axis=1))])  # m along the path
 
 
@@ -28,9 +31,9 @@ def control(values: Array) -> Control:
 
 
 def cost(board: Array, ball: Array | None) -> Array:
-    """(n,) m, root mean square distance from the point that moves."""
+    """(n,) m, root mean square distance from the point that moves, where the board's x axis rolls the ball."""
     assert ball is not None
-    away = ball_control.distances(ball, points(np.arange(ball.shape[1]) / RATE))
+    away = ball_control.distances(ball, points(np.arange(ball.shape[1]) / RATE))[:, round(ROUND * RATE) :]
     return np.asarray(np.sqrt(np.mean(away**2, axis=1)))
 
 
@@ -38,7 +41,7 @@ TASK = Task(
     name="ball, path",
     unit="mm",
     scale=1e3,
-    duration=4.2,
+    duration=4.0,
     values=ball_control.NAMES,
     low=ball_control.LOW,
     high=ball_control.HIGH,
@@ -46,6 +49,7 @@ TASK = Task(
     control=control,
     cost=cost,
     worst=ball_control.LOST,
-    starts=((0.13, 0.2205), (0.126, 0.2215)),
-    near=(0.0, 0.1, 0.185, 0.231),
+    generations=12,
+    starts=((0.09, 0.2205),),
+    near=(0.0, 0.08, 0.185, 0.231),
 )

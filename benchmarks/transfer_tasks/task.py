@@ -25,7 +25,6 @@ RATE = 100.0  # Hz, of sensors and commands
 BOARD_STEP = 0.0025  # s, MuJoCo's without a ball; with one it is the MJCF's
 BOARD_NOISE, BALL_NOISE = 3e-4, 4e-4  # rad and m, standard deviation of the sensors at rest
 REACH = 0.13  # rad, the largest command
-REPEATS = 2  # simulations of each controller, each with its own noise and start of the ball
 TRIALS = 6  # of each controller on the rig
 
 
@@ -42,6 +41,7 @@ class Task:
         control: (n, v) values -> what gives (n, 2) rad of commands at each sample from what is seen.
         cost: (n, T, 2) rad of the board and (n, T, 2) m of the ball, NaN once lost, None without one -> (n,) rad or m.
         worst: cost of a simulation that diverged.
+        generations: of tuning, after which it hardly gets better.
         starts: (s, 2) m where the ball begins, in turn; None leaves it out.
         near: x0, y0, x1, y1, m, of the part of the maze whose walls and holes models have, for the whole takes twice
             as long; None for an open board.
@@ -58,6 +58,7 @@ class Task:
     control: Callable[[Array], Control]
     cost: Callable[[Array, Array | None], Array]
     worst: float
+    generations: int
     starts: tuple[tuple[float, float], ...] | None = None
     near: tuple[float, float, float, float] | None = None
 
@@ -65,6 +66,11 @@ class Task:
     def time(self) -> Array:
         """(T,) s."""
         return np.arange(round(self.duration * RATE)) / RATE
+
+    @property
+    def repeats(self) -> int:
+        """Simulations of each controller in tuning: one for each start of the ball."""
+        return len(self.starts or (None,))
 
     @property
     def begin(self) -> Array:
@@ -83,15 +89,29 @@ class Task:
 
 
 def in_model(task: Task, model: Model, values: Array, seed: int) -> Array:
-    """(n,) cost of controllers (n, v) in a model, mean over REPEATS; sensors have the noise of real ones."""
-    rows, ball = len(values) * REPEATS, task.starts is not None
+    """(n,) cost of controllers (n, v) in a model, mean over the ball's starts."""
+    boards, balls, failed = tracks_in_model(task, model, values, seed)
+    cost = np.where(failed, task.worst, task.cost(boards, balls))
+    return np.asarray(cost.reshape(-1, task.repeats).mean(axis=1))
+
+
+def tracks_in_model(
+    task: Task, model: Model, values: Array, seed: int
+) -> tuple[Array, Array | None, NDArray[np.bool_]]:
+    """What sensors, with the noise of real ones, see under controllers (n, v) in a model.
+
+    Returns:
+        (n * repeats, T, 2) rad of the board; (n * repeats, T, 2) m of the ball, NaN once lost, None without one; which
+        diverged.
+    """
+    rows, ball = len(values) * task.repeats, task.starts is not None
     places = task.places(rows)
     model = on_board(task, model) if ball else model
     initial = {} if places is None else {"ball_x": places[:, 0], "ball_y": places[:, 1]}
     stepper = BatchStepper(model, rows, 1.0 / RATE, ball, None if ball else BOARD_STEP, initial)
     columns = stepper.index("motor_x", "motor_y", "board_x", "board_y", *(("ball_x", "ball_y") if ball else ()))
-    control = task.control(np.repeat(values, REPEATS, axis=0))
-    noise = np.random.default_rng(seed).standard_normal((len(task.time), REPEATS, 4))
+    control = task.control(np.repeat(values, task.repeats, axis=0))
+    noise = np.random.default_rng(seed).standard_normal((len(task.time), task.repeats, 4))
     noise = np.tile(noise, (1, len(values), 1)) * np.repeat([BOARD_NOISE, BALL_NOISE], 2)
     boards, balls = np.empty((2, rows, len(task.time), 2))
     gone = np.zeros(rows, dtype=bool)
@@ -102,8 +122,7 @@ def in_model(task: Task, model: Model, values: Array, seed: int) -> Array:
             gone |= stepper.ball()[:, 2] < 0.0
             balls[:, k] = np.where(gone[:, None], np.nan, now[:, 4:6] + noise[k, :, 2:])
         stepper.advance(control(Seen(k, t, now[:, :2], boards[:, k], balls[:, k] if ball else None)))
-    cost = np.where(stepper.failed, task.worst, task.cost(boards, balls if ball else None))
-    return np.asarray(cost.reshape(-1, REPEATS).mean(axis=1))
+    return boards, balls if ball else None, stepper.failed
 
 
 def play(task: Task, rig: TestbedConfig, values: Array, trials: int, seed: int) -> list[Run]:
