@@ -71,7 +71,7 @@ TARGETS: dict[str, Callable[[float, float], float]] = {
     "spearman_gap": lambda on_rig, in_model: on_rig - in_model,
     "spearman_distance": lambda on_rig, in_model: abs(on_rig - in_model),
 }
-SHOWN = ("alikeness k=3", "k half", "rmse", "probes' cost")
+SHOWN = ("alikeness k=3", "rmse", "floors", "probes' track")
 
 
 @dataclass(frozen=True)

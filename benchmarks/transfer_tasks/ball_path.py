@@ -49,7 +49,7 @@ TASK = Task(
     control=control,
     cost=cost,
     worst=ball_control.LOST,
-    generations=12,
+    generations=20,
     starts=((0.09, 0.2205),),
     near=(0.0, 0.08, 0.185, 0.231),
 )
