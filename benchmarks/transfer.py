@@ -247,19 +247,24 @@ def short(model: str) -> str:
 def write_picture(records: Sequence[dict[str, Any]], names: Sequence[str], file: Path) -> None:
     """The rig's cost of each task, a row, over each figure, a column."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     from eps_tunnel_analysis.report.values_pictures import save_svg
 
     figure = Figure(figsize=(2.4 * len(names), 2.1 * len(TASKS)), layout="constrained")
     for row, task in zip(figure.subplots(len(TASKS), len(names), sharey="row"), TASKS, strict=True):
         own = [r["tasks"][task.name] for r in records]
+        costs = [task.scale * o["on_rig"] for o in own]
         for axes, name in zip(row, names, strict=True):
             shown = [abs((r["figures"] | o["figures"])[name]) for r, o in zip(records, own, strict=True)]
-            axes.plot(shown, [task.scale * o["on_rig"] for o in own], "o", ms=4)
+            axes.plot(shown, costs, "o", ms=4)
             axes.set_xlabel(name, fontsize=8)
-            axes.set_yscale("log")
-            if min(shown) > 0.0:
+            if max(costs) > 3.0 * min(costs):
+                axes.set_yscale("log")
+            if min(shown) > 0.0 and not name.startswith("alikeness"):
                 axes.set_xscale("log")
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_minor_formatter(NullFormatter())
         row[0].set_ylabel(f"{task.name}, {task.unit}", fontsize=8)
     save_svg(figure, file)
 
