@@ -329,6 +329,7 @@ def main() -> None:
         for record, costs in zip(records, judged.reshape(best.shape[:2]), strict=True):
             record["tasks"][task.name] |= {"on_rig": float(costs.mean()), "on_rig_each": costs.tolist()}
         extra[task.name]["repeatability"] = repeatability(judged.reshape(best.shape[:2]))
+        write()
         print(f"{time.monotonic() - started:5.0f} s  {task.name}: done", flush=True)
     content = write()
     print("\n" + tables(content))
