@@ -11,6 +11,7 @@ figures.
 
     spearman            figure -> rank correlation with the rig's cost and its 95 % interval (bootstrap over models),
                         mean over the tasks; of alikeness, which falls as cost rises, with its sign turned
+    above_rmse          by how much a figure's correlation is above that of the RMSE, and its interval
     spearman_gap        the same with what the rig's cost is above the model's own
     spearman_distance   the same with how far apart the two are, whichever is higher
     spearman_together   with the geometric mean of a model's costs of all tasks; a figure of each task by its mean rank
@@ -41,6 +42,7 @@ from transfer_figures import (
     SIGNALS,
     Probes,
     correlation,
+    difference,
     figures_of_probes,
     figures_of_recordings,
     probes_of,
@@ -169,6 +171,8 @@ def summary(records: Sequence[dict[str, Any]], extra: dict[str, dict[str, Any]])
                 columns[name][0].append(np.array([o[name] for o in own]))
                 columns[name][1].append(np.array([target(o["on_rig"], o["in_model"]) for o in own]))
         ranks[word] = {"": {n: correlation(*columns[n]) for n in names}}
+        if word == "spearman":
+            above = {n: difference(x, columns["rmse"][0], y) for n, (x, y) in columns.items()}
         for i, task in enumerate(through):
             ranks[word][task] = {n: correlation(x[i : i + 1], y[i : i + 1]) for n, (x, y) in columns.items()}
     costs = np.log([[r["tasks"][t]["on_rig"] for r in records] for t in through]).mean(axis=0)
@@ -180,7 +184,7 @@ def summary(records: Sequence[dict[str, Any]], extra: dict[str, dict[str, Any]])
     }
     spearman = ranks["spearman"][""]
     return content | {
-        "spearman": spearman, **{w: ranks[w][""] for w in TARGETS if w != "spearman"},
+        "spearman": spearman, "above_rmse": above, **{w: ranks[w][""] for w in TARGETS if w != "spearman"},
         "spearman_together": ranks["together"][""],
         **{f"{n}{w}_spearman": spearman[(n + w).replace("_", " ")]
            for n in ("rmse", "floors") for w in ("", "_fitted")},
@@ -226,12 +230,14 @@ def tables(content: dict[str, Any]) -> str:
     titles = ("the cost on the rig", "what that is above the model's own", "how far it is from the model's own")
     for word, title in zip(TARGETS, titles, strict=True):
         together = content["spearman_together"] if word == "spearman" else {}
-        last = f"{'together':>10s}" if together else ""
+        last = f"{'together':>10s}  above rmse" if together else ""
         lines += ["", f"Spearman's correlation with {title}, over {len(rows)} models:", "",
                   f"{'':17s}{'mean':>6s}  {'95 %':15s}" + wide + last]  # fmt: skip
         for name, (value, low, high) in content[word].items():
             own_ranks = "".join(f"{per[n][word][name][0]:21.2f}" for n in names)
             also = f"{together[name][0]:10.2f}" if together else ""
+            if together:
+                also += "  {:5.2f}, {:.2f} to {:.2f}".format(*content["above_rmse"][name])
             lines.append(f"{name:17s}{value:6.2f}  {f'{low:.2f} to {high:.2f}':15s}{own_ranks}{also}")
     return "\n".join(lines)
 

@@ -151,10 +151,24 @@ def correlation(x: Sequence[Array], y: Sequence[Array]) -> list[float]:
     Args:
         x, y: for each of t tasks (m,) of m models; of several tasks it is their mean.
     """
-    rng, models = np.random.default_rng(0), len(x[0])
-    drawn = rng.integers(models, size=(DRAWS, models))
+    return _interval(*_drawn(x, y))
+
+
+def difference(x: Sequence[Array], other: Sequence[Array], y: Sequence[Array]) -> list[float]:
+    """By how much x correlates better with y than another figure does, and the 95 % interval over the same draws."""
+    (value, draws), (less, drawn) = _drawn(x, y), _drawn(other, y)
+    return _interval(value - less, draws - drawn)
+
+
+def _drawn(x: Sequence[Array], y: Sequence[Array]) -> tuple[float, Array]:
+    """The mean correlation, and (DRAWS,) those of models drawn anew."""
+    models = len(x[0])
+    drawn = np.random.default_rng(0).integers(models, size=(DRAWS, models))
     value = float(np.mean([ranked(a[None], b[None])[0] for a, b in zip(x, y, strict=True)]))
-    draws = np.mean([ranked(a[drawn], b[drawn]) for a, b in zip(x, y, strict=True)], axis=0)
+    return value, np.mean([ranked(a[drawn], b[drawn]) for a, b in zip(x, y, strict=True)], axis=0)
+
+
+def _interval(value: float, draws: Array) -> list[float]:
     if not np.isfinite(draws).any():
         return [value, float("nan"), float("nan")]
     low, high = np.nanquantile(draws, (0.025, 0.975))

@@ -47,12 +47,13 @@ def test_transfer_ranks_models_by_a_recording_that_was_not_fitted(monkeypatch, t
     for name in FIGURES:
         value, low, high = content["spearman"][name]
         assert -1.0 <= low <= value <= high <= 1.0 or np.isnan(value), name
+    assert content["above_rmse"]["rmse"] == [0.0, 0.0, 0.0]
     assert content["rmse_spearman"] == content["spearman"]["rmse"]
     assert content["rmse_fitted_spearman"] == content["spearman"]["rmse fitted"]
     assert content["floors_spearman"] == content["spearman"]["floors"]
     assert content["floors_fitted_spearman"] == content["spearman"]["floors fitted"]
     assert content["spearman"][content["best"]][0] == max(v for v, _, _ in content["spearman"].values() if v == v)
-    for more in ("spearman_gap", "spearman_distance", "spearman_together"):
+    for more in ("spearman_gap", "spearman_distance", "spearman_together", "above_rmse"):
         assert set(content[more]) == set(content["spearman"])
     shown = {m["model"]: m["figures"] for m in content["models"]}
     assert len(shown) == 6
