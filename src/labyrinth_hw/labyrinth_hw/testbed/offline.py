@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated rig without serial ports and without real time: many rigs and trials at once."""
+"""The emulated rig without serial ports and without real time: many rigs and trials at once.
 
-from collections.abc import Sequence
+Commands are known beforehand (`run_offline`, `run_many`), or a controller chooses them from what is measured
+(`run_controlled`).
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +25,27 @@ START_SPREAD = 0.002  # rad, from where a trial's start pose is approached
 
 
 @dataclass(frozen=True)
+class Seen:
+    """What a controller knows at one sample of n trials side by side; the trials of one rig follow each other.
+
+    Attributes:
+        sample: its number, from 0.
+        time: s.
+        motor, board: (n, 2) rad, encoders and potentiometers.
+        ball: (n, 2) m in the board frame as the camera sees it, NaN while lost; None without a ball.
+    """
+
+    sample: int
+    time: float
+    motor: Array
+    board: Array
+    ball: Array | None
+
+
+Control = Callable[[Seen], Array]  # to (n, 2) rad, sent at once
+
+
+@dataclass(frozen=True)
 class Run:
     """p trials of one rig, T samples each, times from each trial's start.
 
@@ -29,7 +54,7 @@ class Run:
         motor, motor_speed, effort: (p, T, 2) rad, rad/s, N m; axes x and y.
         board: (p, T, 2) rad.
         command_stamps: (T,) s.
-        commands: (T, 2) rad, as sent.
+        commands: (T, 2) rad, as sent; (p, T, 2) where a controller chose them.
         ball: (p, T, 2) m in the board frame as the camera sees it, NaN while lost; None without a ball.
         hole: (p,) number of the hole the ball fell into, -1 if it did not.
         tilt_stamps, tilt: (p, C) s and (p, C, 2) rad, the board as the camera sees it, C pictures; None where
@@ -84,22 +109,66 @@ def run_many(
         InputError: wrong shapes, steps or numbers.
     """
     every = _check(configs, time, commands, trials, seeds)
+    rows = len(configs) * trials
+    return _play(configs, time, lambda seen: np.broadcast_to(commands[seen.sample], (rows, 2)), commands[0], every,
+                 trials, seeds, layout, lead, None)[0]  # fmt: skip
+
+
+def run_controlled(
+    configs: Sequence[TestbedConfig], time: Array, control: Control, trials: int, seeds: Sequence[int],
+    layout: Layout | None = None, lead: float = 1.0, first: Array | None = None, ball_start: Array | None = None,
+) -> list[Run]:  # fmt: skip
+    """Let a controller choose the commands sample by sample, on many rigs and trials at once.
+
+    Args:
+        configs: n rigs; name one several times to try several controllers on it at once.
+        time: (T,) s in even steps that are whole milliseconds.
+        control: gives (n * trials, 2) rad at each sample from what is measured then.
+        trials: p of each rig.
+        seeds: n, of each rig's noise.
+        layout: walls and holes, for a ball; None leaves it out.
+        lead: s that the first command is held before time zero; the ball rests meanwhile.
+        first: (2,) rad held during the lead; level if None.
+        ball_start: (2,) or (n * trials, 2) m where balls are at time zero; the start of the layout's path if None.
+
+    Returns:
+        n runs; their commands are (p, T, 2).
+
+    Raises:
+        InputError: wrong shapes, steps or numbers; commands of another shape than was asked for.
+    """
+    held = np.zeros(2) if first is None else np.asarray(first, dtype=float)
+    every = _check(configs, time, np.broadcast_to(held, (len(time), 2)), trials, seeds)
+    runs, sent = _play(configs, time, control, held, every, trials, seeds, layout, lead, ball_start)
+    rows = (slice(i * trials, (i + 1) * trials) for i in range(len(configs)))
+    return [replace(run, commands=np.ascontiguousarray(np.swapaxes(sent[:, r], 0, 1)))
+            for run, r in zip(runs, rows, strict=True)]  # fmt: skip
+
+
+def _play(
+    configs: Sequence[TestbedConfig], time: Array, control: Control, first: Array, every: int, trials: int,
+    seeds: Sequence[int], layout: Layout | None, lead: float, ball_start: Array | None,
+) -> tuple[list[Run], Array]:  # fmt: skip
+    """n runs and (T, n * trials, 2) the commands sent."""
     count, rows = len(time), len(configs) * trials
     q = stack([config.reality for config in configs], trials)
     noises = [np.random.default_rng([seed, trial]) for seed in seeds for trial in range(trials)]
-    start = commands[0] + START_SPREAD * np.array([rng.standard_normal(2) for rng in noises])
+    start = first + START_SPREAD * np.array([rng.standard_normal(2) for rng in noises])
     ages = np.tile(np.arange(trials) * (count * every * CONTROL_PERIOD + NEXT_TRIAL), len(configs))
     plant = Plant(q, start, ages)
     noise = np.stack([rng.standard_normal((count, 11)) for rng in noises], axis=1)  # (T, rows, 11)
     lost = np.stack([rng.random((count, 2)) for rng in noises], axis=1) < q.command_loss
-    ball = Ball(q, layout, np.tile(np.array(layout.path[0], dtype=float), (rows, 1))) if layout is not None else None
+    ball = None
+    if layout is not None:
+        begin = np.asarray(layout.path[0] if ball_start is None else ball_start, dtype=float)
+        ball = Ball(q, layout, np.broadcast_to(begin, (rows, 2)))
     latency = max(1, int(np.ceil(q.camera_latency.max() / (every * CONTROL_PERIOD)))) + 1
     trail: list[Array] = []
 
-    plant.command(np.tile(commands[0], (rows, 1)))
+    plant.command(np.tile(first, (rows, 1)))
     plant.advance(round(lead / CONTROL_PERIOD))
     out = {name: np.empty((count, rows, 2)) for name in ("motor", "motor_speed", "effort", "board", "ball")}
-    stamps, tilts = np.empty((count, rows)), np.empty((count, rows, 2))
+    stamps, tilts, sent = np.empty((count, rows)), np.empty((count, rows, 2)), np.empty((count, rows, 2))
     phase = np.array([rng.uniform(0.0, every * CONTROL_PERIOD) for rng in noises])  # of the camera's pictures
     for k in range(count):
         age = np.abs(STAMP_JITTER * noise[k, :, 10:])
@@ -118,7 +187,11 @@ def run_many(
             out["ball"][k] = _seen(trail, q.camera_latency[:, 0] / (every * CONTROL_PERIOD))
             centre = 0.5 * np.array(layout.board)
             out["ball"][k] = centre + q.camera_scale * (out["ball"][k] - centre) + q.camera_noise * noise[k, :, 8:10]
-        goal = np.where(lost[k], np.nan, commands[k])
+        chosen = control(Seen(k, float(time[k]), out["motor"][k], out["board"][k], out["ball"][k] if ball else None))
+        if chosen.shape != (rows, 2):
+            raise InputError(f"A controller must give commands of shape {(rows, 2)}, got {chosen.shape}.")
+        sent[k] = chosen
+        goal = np.where(lost[k], np.nan, chosen)
         plant.command(goal, q.command_jitter * noise[k, :, 4:6])
         plant.push = q.torque_noise * noise[k, :, 6:8]
         if ball is None:
@@ -127,12 +200,16 @@ def run_many(
             for _ in range(every):
                 plant.advance(1)
                 ball.step(plant.board, CONTROL_PERIOD)
-    runs = [_run(out, stamps, ball, slice(i * trials, (i + 1) * trials), time, commands) for i in range(len(configs))]
+    runs = [
+        _run(out, stamps, ball, slice(i * trials, (i + 1) * trials), time, sent[:, i * trials])
+        for i in range(len(configs))
+    ]
     seen = time[:, None] - phase
-    return [
+    filmed = [
         _filmed(run, config, seen[:, i * trials : (i + 1) * trials], tilts[:, i * trials : (i + 1) * trials])
         for i, (run, config) in enumerate(zip(runs, configs, strict=True))
     ]
+    return filmed, sent
 
 
 def _check(configs: Sequence[TestbedConfig], time: Array, commands: Array, trials: int, seeds: Sequence[int]) -> int:
