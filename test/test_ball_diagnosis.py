@@ -96,7 +96,7 @@ def test_a_ball_that_was_not_seen_at_first_is_told() -> None:
     assert not sees_ball(model(), [late])
     v = diagnose(model(), [late], only=["camera_latency"]).verdict
     assert "ball" not in v.floor
-    assert any("ball was not seen" in note for note in v.notes)
+    assert any("ball was not visible" in note for note in v.notes)
 
 
 def test_the_commands_name_and_add_an_effect_on_the_ball(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def test_what_is_offered_can_be_moved_within_its_range() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "complaint"),
     [("drive.x.q", 1.0, "Did you mean 'drive.x"), ("drive.x.p", 26.0, "within"), ("drive.x.p", float("nan"), "within"),
-     ("drive.y.p", 3.0, "known of these recordings")],
+     ("drive.y.p", 3.0, "known for these recordings")],
 )  # fmt: skip
 def test_what_cannot_be_moved_is_refused(name: str, value: float, complaint: str) -> None:
     (play,) = plays((3.0,))
