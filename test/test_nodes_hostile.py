@@ -111,9 +111,7 @@ def test_the_monitor_goes_on_among_figures_that_do_not_belong_together(place: Wo
     tunnel = {"time": 0.1, "signals": ["a", "b"], "lower": two, "upper": two, "simulated": two, "alike": [True, False]}
     sent_until("Ignored a TunnelSample", lambda mean: samples.publish(TunnelSample(mean=mean, **tunnel)))
     shares = {"signals": ["a", "b"], "k": two, "samples": 9, "trials": 9}
-    sent_until(
-        "Ignored a Srg", lambda mean: figures.publish(Srg(alikeness=mean, joint=mean, rig_joint=mean, **shares))
-    )
+    sent_until("Ignored a Srg", lambda mean: figures.publish(Srg(alikeness=mean, joint=mean, rig_joint=mean, **shares)))
     connection = HTTPConnection("127.0.0.1", port, timeout=90)
     connection.request("GET", "/")
     assert connection.getresponse().status == 200

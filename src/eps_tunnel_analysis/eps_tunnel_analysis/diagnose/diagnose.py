@@ -83,7 +83,8 @@ def diagnose(
     kind, named, stated = decide(probabilities, SETTINGS.coverage)
     missing = {c.name: axis.base.cost for axis in axes for c in axis.search.library.candidates}
     named = tuple(sorted(named, key=lambda name: -missing[name]))
-    final = with_refits(model, axes, named, final=True)
+    # Where something unknown is missing, the lowest valley would only imitate it best.
+    final = with_refits(model, axes, named, final=kind in ("effect", "complete"))
     base_model = with_refits(model, axes, ()) if named else final
 
     # How far each is from the recordings.
