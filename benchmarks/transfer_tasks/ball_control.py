@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from labyrinth_hw.testbed.offline import Seen
-from transfer_tasks.task import RATE, Array, Control
+from transfer_tasks.task import RATE, Array, Control, Task
 
 ROLLS = 5.0 / 7.0 * 9.81  # m/s^2 for each rad of tilt
 SMOOTHING = 0.04  # s, of the ball's speed
@@ -45,6 +45,32 @@ def to_point(values: Array, goal: Callable[[float], tuple[Array, Array]]) -> Con
     return control
 
 
-def distances(ball: Array, points: Array) -> Array:
-    """(n, T) m from balls (n, T, 2) to points (T, 2) or (2,); LOST at most, and where a ball is lost."""
-    return np.minimum(np.nan_to_num(np.linalg.norm(ball - points, axis=2), nan=LOST), LOST)
+def ball_task(
+    name: str,
+    goal: Callable[[float], tuple[Array, Array]],
+    points: Callable[[Array], Array],
+    arrived: float,
+    generations: int,
+    starts: tuple[tuple[float, float], ...],
+    near: tuple[float, float, float, float] | None = None,
+) -> Task:
+    """A task whose cost is the root mean square distance of the ball from where it should be.
+
+    Args:
+        goal: as in `to_point`.
+        points: (T,) s -> (T, 2) or (2,) m, where the ball should be.
+        arrived: s, from when on the distance counts; LOST at most, and once the ball is lost.
+        generations, starts, near: as in `Task`.
+    """
+
+    def cost(board: Array, ball: Array | None) -> Array:
+        assert ball is not None
+        away = np.linalg.norm(ball - points(np.arange(ball.shape[1]) / RATE), axis=2)
+        counted = np.minimum(np.nan_to_num(away, nan=LOST), LOST)[:, round(arrived * RATE) :]
+        return np.asarray(np.sqrt(np.mean(counted**2, axis=1)))
+
+    return Task(
+        name=name, unit="mm", scale=1e3, duration=4.0, values=NAMES, low=LOW, high=HIGH, start=START,
+        control=lambda values: to_point(values, goal), cost=cost, worst=LOST, generations=generations, starts=starts,
+        near=near,
+    )  # fmt: skip

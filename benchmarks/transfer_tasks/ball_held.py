@@ -3,37 +3,15 @@
 
 import numpy as np
 
-from transfer_tasks import ball_control
-from transfer_tasks.task import RATE, Array, Control, Task
+from transfer_tasks.ball_control import ball_task
 
 GOAL = np.array([0.138, 0.1155])  # m
-ARRIVED = 1.5  # s, from when on the distance counts
 
-
-def control(values: Array) -> Control:
-    """Feedback to a point at rest, values (n, 4)."""
-    return ball_control.to_point(values, lambda t: (GOAL, np.zeros(2)))
-
-
-def cost(board: Array, ball: Array | None) -> Array:
-    """(n,) m, root mean square distance from the point once the ball should be there."""
-    assert ball is not None
-    away = ball_control.distances(ball, GOAL)[:, round(ARRIVED * RATE) :]
-    return np.asarray(np.sqrt(np.mean(away**2, axis=1)))
-
-
-TASK = Task(
+TASK = ball_task(
     name="ball, held",
-    unit="mm",
-    scale=1e3,
-    duration=4.0,
-    values=ball_control.NAMES,
-    low=ball_control.LOW,
-    high=ball_control.HIGH,
-    start=ball_control.START,
-    control=control,
-    cost=cost,
-    worst=ball_control.LOST,
+    goal=lambda t: (GOAL, np.zeros(2)),
+    points=lambda t: GOAL,
+    arrived=1.5,
     generations=25,
     starts=((0.118, 0.165), (0.148, 0.066)),
 )

@@ -3,14 +3,13 @@
 
 import numpy as np
 
-from transfer_tasks import ball_control
-from transfer_tasks.task import RATE, Array, Control, Task
+from transfer_tasks.ball_control import ball_task
+from transfer_tasks.task import RATE, Array
 
 PATH = np.array([(0.09, 0.2205), (0.057, 0.2205), (0.057, 0.16), (0.072, 0.144), (0.072, 0.105)])  # m
 PACE = 0.045  # m/s
-ROUND = (
-    PATH[0, 0] - PATH[1, 0]
-) / PACE  # s, when the point is round the first corner; from there on the distance counts
+# s, when the point is round the first corner, from where the board's x axis rolls the ball
+ROUND = (PATH[0, 0] - PATH[1, 0]) / PACE
 _AT = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(PATH, axis=0), axis=1))])  # m along the path
 
 
@@ -25,30 +24,11 @@ def _goal(t: float) -> tuple[Array, Array]:
     return now, RATE * (next_ - now)
 
 
-def control(values: Array) -> Control:
-    """Feedback to the point that moves, values (n, 4)."""
-    return ball_control.to_point(values, _goal)
-
-
-def cost(board: Array, ball: Array | None) -> Array:
-    """(n,) m, root mean square distance from the point that moves, where the board's x axis rolls the ball."""
-    assert ball is not None
-    away = ball_control.distances(ball, points(np.arange(ball.shape[1]) / RATE))[:, round(ROUND * RATE) :]
-    return np.asarray(np.sqrt(np.mean(away**2, axis=1)))
-
-
-TASK = Task(
+TASK = ball_task(
     name="ball, path",
-    unit="mm",
-    scale=1e3,
-    duration=4.0,
-    values=ball_control.NAMES,
-    low=ball_control.LOW,
-    high=ball_control.HIGH,
-    start=ball_control.START,
-    control=control,
-    cost=cost,
-    worst=ball_control.LOST,
+    goal=_goal,
+    points=points,
+    arrived=ROUND,
     generations=20,
     starts=((0.09, 0.2205),),
     near=(0.0, 0.08, 0.185, 0.231),

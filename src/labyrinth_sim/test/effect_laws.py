@@ -12,7 +12,8 @@ from labyrinth_sim.effect import Effect
 from labyrinth_sim.marks import MARKS, Pair
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.rig import BALL_SIGNALS
-from labyrinth_sim.simulate import Stepper, simulate_batch
+from labyrinth_sim.simulate import simulate_batch
+from labyrinth_sim.stepping import Stepper
 
 STEP = 0.01
 RESOLUTION = 1e-4  # rad, m, and the like; below it a recorded signal says nothing

@@ -10,7 +10,8 @@ from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.simulate import Stepper, numbers_of, rest_targets, simulate, simulate_batch
+from labyrinth_sim.simulate import numbers_of, rest_targets, simulate, simulate_batch
+from labyrinth_sim.stepping import Stepper
 
 TIME = np.arange(151) * 0.01
 

@@ -30,7 +30,7 @@ SLOPE = 0.05  # share of a value by which it is moved; the bounds of a search ma
 DELAY_SHARE = 0.6  # share of a delay's bounds by which it is moved: as far as a typical delay of commands
 VISIBLE = 3.0  # floors, of an effect that is seen without doubt
 PRECISE, WEAK = 0.2, 1.0  # 95 % interval over the value itself, up to which it is identifiable, weak
-LEAST_SIZE = 0.05  # share of the bounds' span that a value near 0 is weighed against
+LEAST_SIZE = 0.05  # share of its span that a value near 0 is weighed against
 INSEPARABLE = 0.97  # correlation of two values' errors from which they cannot be separated
 SAME_EFFECT = 0.999  # share of two values' effects in common, from which they are one: a mass and an armature
 

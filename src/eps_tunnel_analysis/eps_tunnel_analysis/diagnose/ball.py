@@ -17,7 +17,7 @@ from labyrinth_sim.trials import Array
 
 BALL = "ball"
 PLACE = 3e-4  # m; how accurately the first sample shows where the ball lies
-BALL_DIFFERENCE = 0.01  # of the bounds' span; finite differences wide enough to bridge the misfit's kinks at walls
+BALL_DIFFERENCE = 0.01  # of a value's span; finite differences wide enough to bridge the misfit's kinks at walls
 TILT = 4e-4  # rad; how accurately a model tilts the board, a quarter of an encoder's tick
 ROLLING = 5 / 7 * 9.81  # m/s^2, of a ball that rolls without slipping, for each radian of tilt
 

@@ -190,13 +190,11 @@ def along_valley(search: Search, refit: Refit) -> list[Array]:
 
     Values that can compensate for each other, such as D and delay, make a long valley with more than one minimum.
     """
-    columns = search.fitted(refit)[: len(search.library.base) - search.library.rough]
-    if len(columns) < 2:
+    columns, weakest = search.weakest(refit)
+    if not columns:
         return []
     span = search.spans[columns]
     width = (search.high - search.low)[columns] / span
-    slopes = search.jacobian(refit)[:, : len(columns)]
-    weakest = np.linalg.svd(slopes, full_matrices=False)[2][-1]
     points = []
     for sign in (1.0, -1.0):
         here = (refit.values - search.low)[columns] / span

@@ -48,7 +48,7 @@ def named_intervals(
         columns = search.fitted(best)
         half = _half_widths(search, best, columns) * search.spans[columns]
         own = [columns.index(i) for name in best.effects for i in search.columns(search.library.find(name))]
-        half[own] = np.maximum(half[own], [profile(search, best, columns[i]) for i in own])
+        half[own] = np.maximum(half[own], profiles(search, best, [columns[i] for i in own]))
         limit = best.objective + chance(search, best)
         alike = [best.values, *(r.values for r in others if r.objective <= limit)]
         lowest, highest = np.min(alike, axis=0)[columns], np.max(alike, axis=0)[columns]
@@ -64,32 +64,44 @@ def intervals_json(bounds: Mapping[str, tuple[float, float]]) -> dict[str, list[
     return {name: [low, high] for name, (low, high) in bounds.items()}
 
 
-def profile(search: Search, refit: Refit, column: int) -> float:
-    """Half-width of the 95 % interval of one value by its likelihood: slack, limits and friction have kinks, no slope.
+def profiles(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
+    """(k,) half-widths of the 95 % intervals of values by their likelihood: slack, limits and friction have kinks, no
+    slope.
 
-    How far the value can move to either side while the misfit stays within chance, given the independent samples.
+    How far each value can move to either side while the misfit stays within chance, given the independent samples.
     """
-    away = search.spans[column] * np.geomspace(*PROFILED, PROFILE_POINTS)
-    points = np.tile(refit.values, (2 * len(away), 1))
-    low, high = search.low[column], search.high[column]
-    points[:, column] = np.clip(refit.values[column] + np.concatenate([away, -away]), low, high)
+    if not columns:
+        return np.zeros(0)
+    share = np.geomspace(*PROFILED, PROFILE_POINTS)
+    steps = np.concatenate([share, -share])
+    points = np.tile(refit.values, (len(columns), len(steps), 1))
+    for row, column in zip(points, columns, strict=True):
+        row[:, column] = np.clip(
+            refit.values[column] + steps * search.spans[column], search.low[column], search.high[column]
+        )
     search.settle_at(refit)
-    cost = np.nan_to_num(np.mean(search.residuals(points) ** 2, axis=1), nan=np.inf).reshape(2, -1)
+    answers = search.residuals(points.reshape(-1, len(refit.values)))
+    cost = np.nan_to_num(np.mean(answers**2, axis=1), nan=np.inf).reshape(len(columns), 2, -1)
     limit = refit.cost + chance(search, refit)
-    widest = 0.0
-    for side in cost:
-        within = np.flatnonzero(side <= limit)
-        if not len(within):
-            widest = max(widest, float(away[0]))
-            continue
-        last = int(within[-1])
-        if last + 1 == len(away):
-            widest = max(widest, float(away[-1]))
-            continue
-        here, beyond = max(side[last], refit.cost), side[last + 1]
-        share = (limit - here) / (beyond - here) if np.isfinite(beyond) and beyond > here else 0.0
-        widest = max(widest, float(away[last] + share * (away[last + 1] - away[last])))
-    return widest
+    return np.array(
+        [
+            max(_reach(side, refit.cost, limit, share * search.spans[column]) for side in sides)
+            for sides, column in zip(cost, columns, strict=True)
+        ]
+    )
+
+
+def _reach(cost: Array, least: float, limit: float, away: Array) -> float:
+    """How far from the least cost the limit is, from costs (n,) at distances (n,) to one side."""
+    within = np.flatnonzero(cost <= limit)
+    if not len(within):
+        return float(away[0])
+    last = int(within[-1])
+    if last + 1 == len(away):
+        return float(away[-1])
+    here, beyond = max(cost[last], least), cost[last + 1]
+    share = (limit - here) / (beyond - here) if np.isfinite(beyond) and beyond > here else 0.0
+    return float(away[last] + share * (away[last + 1] - away[last]))
 
 
 def chance(search: Search, refit: Refit) -> float:

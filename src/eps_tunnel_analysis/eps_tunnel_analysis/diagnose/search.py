@@ -436,21 +436,28 @@ class Search:
         """
         key = (refit.effects, refit.values.tobytes())
         if key not in self._valleys:
-            here, starts = self.as_run(refit), self._along_weakest(refit)
-            refits = [here]
+            refits = [self.as_run(refit)]
             if "own" in self.levels:
-                starts += self.beside_stated([refit], VALLEY_ROUNDS, "own")
+                starts = self._along_weakest(refit) + self.beside_stated([refit], VALLEY_ROUNDS, "own")
                 refits += self.refit([(self._candidates(refit), point) for point in starts], VALLEY_ROUNDS, "own")
             self._valleys[key] = tuple(sorted(refits, key=lambda r: r.objective))
         return self._valleys[key]
 
+    def weakest(self, refit: Refit) -> tuple[list[int], Array]:
+        """Columns of the drive's values that a refit fits, and (k,) the direction in which it determines them least, in
+        shares of their spans; none if it fits fewer than two.
+        """
+        columns = self.fitted(refit)[: len(self.library.base) - self.library.rough]
+        if len(columns) < 2:
+            return [], np.zeros(0)
+        slopes = self.jacobian(refit)[:, : len(columns)]
+        return columns, np.asarray(np.linalg.svd(slopes, full_matrices=False)[2][-1])
+
     def _along_weakest(self, refit: Refit) -> list[Array]:
         """(K,) values to either side of a refit's along the direction of the drive that it determines least."""
-        columns = self.fitted(refit)[: len(self.library.base) - self.library.rough]
-        slopes = self.jacobian(refit)[:, : len(columns)]
-        if len(columns) < 2 or not np.isfinite(slopes).all():
+        columns, weakest = self.weakest(refit)
+        if not columns:
             return []
-        weakest = np.linalg.svd(slopes, full_matrices=False)[2][-1]
         points = np.tile(refit.values, (2 * len(AWAY), 1))
         points[:, columns] += np.outer(
             [sign * by for by in AWAY for sign in (1.0, -1.0)], weakest * self.spans[columns]

@@ -14,7 +14,7 @@ class DiagnosisSettings:
         user would see; healthy rigs of other physics than the model's leave .1 % and less.
     timing: s, by which one trial's motion may be early or late. Derived: the deviation of what happens at any time
         within the period of a firmware's loop of 1 kHz, each trial at a phase of its own.
-    rough: share of a stated value, or of its bounds' span where 0 is stated, within which a value that is known roughly
+    rough: share of a stated value, or of its span where 0 is stated, within which a value that is known roughly
         is expected (standard deviation). Chosen: the usual error of servos' data sheets.
     loose: share of a stated value within which those free values are expected whose order of magnitude a data sheet
         gives (standard deviation). Chosen: twice the difference between two windings of the same servo.

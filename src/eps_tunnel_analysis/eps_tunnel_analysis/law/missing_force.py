@@ -18,6 +18,7 @@ from scipy.sparse import csr_array, diags_array
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.fit.differences import steps_within
 from eps_tunnel_analysis.law.added_force import Motion, Playing
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
@@ -33,7 +34,7 @@ LEFT_OUT = 4  # neighbouring samples, left out together
 FOLDS = 2
 PASSES = 6  # linearisations at most, and
 AS_PROMISED = 0.1  # of the residuals' change by which a roll-out may differ from what its linearisation promised
-DIFFERENCE = 1e-3  # of a value's bounds' span
+DIFFERENCE = 1e-3  # of a value's span
 
 
 @dataclass(frozen=True)
@@ -261,9 +262,8 @@ def _linearised(
     base = np.empty((len(used), len(playing.values)))
     if len(playing.values):
         infos = playing.model.parameters()
-        bounds = [(infos[n].low, infos[n].high) for n in playing.free]
-        steps = np.array([DIFFERENCE * (high - low) * (1.0 if v + DIFFERENCE * (high - low) <= high else -1.0)
-                          for (low, high), v in zip(bounds, playing.values, strict=True)])  # fmt: skip
+        low, high, own = np.array([(i.low, i.high, i.span) for i in (infos[n] for n in playing.free)]).T
+        steps = steps_within(playing.values, DIFFERENCE * own, low, high)
         moved = playing.values + np.diag(steps)
         shown = playing.residuals(play, np.tile(force, (len(steps), 1)), moved)[:, used] / scale
         base = (np.nan_to_num(shown - seen[0]) / (steps / span[: len(steps)])[:, None]).T

@@ -27,7 +27,7 @@ from eps_tunnel_analysis.diagnose.axis_search import (
 from eps_tunnel_analysis.diagnose.ball import without_ball
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
-from eps_tunnel_analysis.diagnose.named_intervals import profile
+from eps_tunnel_analysis.diagnose.named_intervals import profiles
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, independent, joint, rank
 from eps_tunnel_analysis.diagnose.search import Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -41,7 +41,7 @@ from labyrinth_sim.model import Model
 
 MOST_CHANGES = 2  # on one axis
 STEP_OF_A_VALUE = 0.3  # of a value: the strength around which changes of it are tried, or
-STEP_OF_ITS_SPAN = 0.05  # of its bounds' span, where that is more
+STEP_OF_ITS_SPAN = 0.05  # of its span, where that is more
 #: Share of the noise floor to which differences of the same command on two dates are held before something is said to
 #: have changed: a diagnosis leaves room for forms that are not exact, and these cancel in the difference.
 #: Measured: an unchanged rig leaves 0.5 to 0.7 floors, and this puts the limit at 0.9.
@@ -415,9 +415,7 @@ def _value_changes(model: Model, axis: _AxisChanges, named: Sequence[str]) -> li
         return []
     columns = search.fitted(refit)
     interval = intervals(search.jacobian(refit), refit.residuals, search.blocks.astype(float))
-    half = np.maximum(
-        interval.half_width * search.spans[columns], [profile(search, refit, column) for column in columns]
-    )
+    half = np.maximum(interval.half_width * search.spans[columns], profiles(search, refit, columns))
     units = {name: info.unit for name, info in search.library.model.parameters().items()}
     owner = {p: c for c in map(search.library.find, refit.effects) for p in c.parameters}
     present = model.values()

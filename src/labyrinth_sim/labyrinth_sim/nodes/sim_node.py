@@ -34,7 +34,7 @@ from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.nodes.start import start_ros, waiting
 from labyrinth_sim.rig import BALL_SIGNALS
-from labyrinth_sim.simulate import Stepper
+from labyrinth_sim.stepping import Stepper
 from labyrinth_sim.urdf import urdf
 
 CATCH_UP = 0.25  # s; a longer hiccup is skipped rather than caught up
