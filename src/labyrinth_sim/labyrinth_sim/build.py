@@ -41,6 +41,13 @@ class Placed:
         switches = [p for p in self.effect.parameters if p.off is not None]
         return np.any([values[self.prefix + p.name] != p.off for p in switches], axis=0)
 
+    def steps(self, values: Values) -> NDArray[np.bool_]:
+        """(nsim,) whether it has something to do before every step; values as for `acts`."""
+        acts, needs = self.acts(values), self.effect.steps_with
+        if not (self.effect.step or self.effect.error):
+            return np.zeros_like(acts)
+        return acts & (values[self.prefix + needs] != 0.0) if needs else acts
+
 
 def local_values(values: Values, prefix: str) -> dict[str, Array]:
     """From values by full name, those with a prefix such as `backlash.x.`, by the rest of their names."""

@@ -95,6 +95,7 @@ class Parameter:
         fixed: "bounds" for those that are the same on any axis, whatever its unit; "unit" for what belongs to the motor
             and not to the axis, and so keeps its unit as well.
         fitted: False for what is stated with an effect and never fitted, as the range that a table covers.
+        settled: kept as stated where the effect belongs to the model, and searched only where it may be missing.
         span: a large change of the value, where the bounds lie much further apart than that: a search takes its steps
             in shares of it. 0 for the distance of the bounds.
     """
@@ -109,6 +110,7 @@ class Parameter:
     fixed: Literal["", "bounds", "unit"] = ""
     fitted: bool = True
     span: float = 0.0
+    settled: bool = False
 
     def __post_init__(self) -> None:
         if not self.low <= self.typical <= self.high or not (self.off is None or self.low <= self.off <= self.high):
@@ -200,6 +202,7 @@ class Effect:
         fields: changes per-simulation fields of the compiled model.
         step: called before every MuJoCo step: a compiled law of one simulation, or a plain function of the whole batch,
             which takes many times as long.
+        steps_with: the parameter at whose 0 `step` has nothing to do, "" if it always has.
         measure: makes the filter of a signal.
         undo: the true value (nsim,) behind a measured one, where a roll-out must not start from what is seen.
     """
@@ -227,6 +230,7 @@ class Effect:
     spec: "Callable[[mujoco.MjSpec, Site], None] | None" = None
     fields: "Callable[[Fields, Site, Values], None] | None" = None
     step: "Law | Callable[[Live, Site, Values], None] | None" = None
+    steps_with: str = ""
     measure: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
     undo: "Callable[[Values, Site, Array], Array] | None" = None
 

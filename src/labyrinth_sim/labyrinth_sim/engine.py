@@ -58,7 +58,7 @@ class Laws:
         self._first = len(placed)
         placed += [(p, p.effect.step) for p in acting if isinstance(p.effect.step, Law)]
         self.codes = np.array([law.address for _, law in placed if isinstance(law, Law)], dtype=np.int64)
-        self.acts = np.array([p.acts(values) for p, _ in placed]).reshape(len(placed), nsim)
+        self.acts = np.array([p.steps(values) for p, _ in placed]).reshape(len(placed), nsim)
         self.values = np.zeros((nsim, len(placed), MOST_VALUES))
         for k, (p, _) in enumerate(placed):
             own = [values[p.prefix + parameter.name] for parameter in p.effect.parameters]
@@ -211,7 +211,7 @@ class Engine:
         self._set_fields(values)
         self.nthread = nthread
         acting = plan.acting(values)
-        steps = [p for p in acting if p.effect.step]
+        steps = [p for p in acting if p.effect.step and p.steps(values).any()]
         self._hooks = [(p, local_values(values, p.prefix)) for p in steps if not isinstance(p.effect.step, Law)]
         self._errors = bool([p for p in acting if p.effect.error])
         none = np.zeros(nsim)

@@ -197,7 +197,9 @@ TIME = np.linspace(0.0, 0.3, 61)
 TAIL = 0.001  # s
 
 
-@checks("coulomb_friction", "torque = -F sign(speed); at rest |torque| <= F")
+@checks(
+    "coulomb_friction", "torque = -F sign(speed); at rest |torque| <= F; -F tanh(speed / v_c) if it sets in gradually"
+)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_coulomb_friction(model_of: ModelOf, sign: float) -> None:
     model = model_of("horn").with_effect("coulomb_friction", "a", {"torque": 0.05})
@@ -229,7 +231,11 @@ def test_stribeck_friction(model_of: ModelOf, sign: float, coulomb: float) -> No
     assert play(model, TIME, a_speed=sign * 0.8)["a_speed"][moves] == pytest.approx(sign * expected[moves], abs=3e-3)
 
 
-@checks("direction_friction", "F = T for speed > 0 and 0 for speed < 0 if T > 0; the other way round if T < 0")
+@checks(
+    "direction_friction",
+    "F = T for speed > 0 and 0 for speed < 0 if T > 0; the other way round if T < 0; "
+    "T tanh(|speed| / v_c) if it sets in gradually",
+)
 @pytest.mark.parametrize("torque", [0.04, -0.04])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_direction_friction(model_of: ModelOf, torque: float, sign: float) -> None:

@@ -97,6 +97,17 @@ def test_each_effect_is_exported_as_it_acts(name: str, tmp_path: Path) -> None:
     pytest.fail(f"{name} acts nowhere on either rig")
 
 
+@pytest.mark.parametrize("name", [name for name, effect in effects().items() if effect.steps_with])
+def test_a_step_with_nothing_to_do_is_left_out(name: str, tmp_path: Path) -> None:
+    model = load_model("two_link_arm")
+    effect = model.registry.effects[name]
+    slow = next(p for p in effect.parameters if p.name == effect.steps_with)
+    assert "gradual_damping" not in export(model.with_effect(name, "elbow", {slow.name: 0.0})).module
+    acting = model.with_effect(name, "elbow", {slow.name: 0.5 * slow.high})
+    assert "gradual_damping" in export(acting).module
+    assert apart(acting, tmp_path, commands(acting, 0.3)) < 1e-6
+
+
 def alone(model: Model) -> Model:
     """The model on its rig without the ball, which no effect here needs."""
     rig = replace(model.rig, mjcf=model.rig.mjcf_without_ball or model.rig.mjcf, mjcf_without_ball=None, ball=None)

@@ -63,7 +63,8 @@ def default_free(model: Model, signals: Iterable[str] = ()) -> tuple[str, ...]:
         names += [full_name(axis, name) for name in kind.free or [p.name for p in kind.parameters]]
         if not any(m.quantity == "torque" and m.signal in compared for m in axis.measured):
             names += [full_name(axis, name) for name in kind.identified_by_effort]
-    names += [f"{u.effect.name}.{u.place}.{p.name}" for u in model.effects for p in u.effect.parameters if p.fitted]
+    names += [f"{u.effect.name}.{u.place}.{p.name}" for u in model.effects
+              for p in u.effect.parameters if p.fitted and not p.settled]  # fmt: skip
     names += [name for name in model.parameters() if name.startswith(f"{EFFORT}.") and name.split(".")[1] in compared]
     return tuple(names)
 

@@ -1,22 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coulomb friction, by MuJoCo's frictionloss."""
+"""Coulomb friction: MuJoCo's frictionloss where it is sharp, joint damping rewritten before every step where not."""
+
+import numpy as np
 
 from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.friction import gradual_damping
+from labyrinth_sim.law import law, state
 from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
-    fields["dof_frictionloss"][:, site.dof] += values["torque"]
+    fields["dof_frictionloss"][:, site.dof] += np.where(values["slow"] > 0.0, 0.0, values["torque"])
+
+
+@law
+def step(raw: int) -> None:
+    s = state(raw)
+    s.damping[s.dof] += gradual_damping(s.values[0], s.qvel[s.dof], s.values[1])
 
 
 EFFECT = Effect(
     name="coulomb_friction",
     title="Coulomb friction",
     physics="A torque of constant size opposes motion and holds the axis still when less than it acts.",
-    equation="torque = -F sign(speed); at rest |torque| <= F",
+    equation="torque = -F sign(speed); at rest |torque| <= F; -F tanh(speed / v_c) if it sets in gradually",
     parameters=(
         Parameter("torque", "N m", 0.0, 1.0, 0.0, 0.2, "0 to a third of the stall torque of a servo of this class"),
+        Parameter(
+            "slow", "rad/s", 0.0, 0.1, None, 0.0, "v_c; faster than that grease would be felt as damping", settled=True
+        ),
     ),
     stage="mjcf",
     mark="The axis stops short of its target by the same angle from either side; flat tops after slow reversals.",
@@ -33,5 +46,8 @@ EFFECT = Effect(
         "positioning_error",
     ),
     separated_by="Triangles at several speeds: Coulomb's error does not change with speed, Stribeck's does.",
+    touches=("dof_damping",),
     fields=fields,
+    step=step,
+    steps_with="slow",
 )

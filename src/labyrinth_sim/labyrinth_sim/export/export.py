@@ -16,7 +16,7 @@ import numpy as np
 
 from labyrinth_sim import filters
 from labyrinth_sim.build import Placed, Plan, build_spec
-from labyrinth_sim.effect import Drive
+from labyrinth_sim.effect import Drive, Effect
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.export import runtime
@@ -185,10 +185,11 @@ def _module(model: Model, acting: list[Placed], torque: Array, bundle: Bundle) -
         drives.append({"name": use.kind.name, "values": own, **_of_drive(use.kind, bundle)})
     for placed in acting:
         effect = placed.effect
-        if effect.where == "ball" or not any(getattr(effect, hook) for hook in HOOKS):
-            continue
         own = {p.name: values[f"{placed.prefix}{p.name}"] for p in effect.parameters}
-        hooks = {hook: _Code(bundle.add(_plain(placed, hook))) for hook in HOOKS}
+        used = _hooks(effect, own)
+        if effect.where == "ball" or not used:
+            continue
+        hooks = {hook: _Code(bundle.add(_plain(placed, hook)) if hook in used else None) for hook in HOOKS}
         signal = placed.site.signal if effect.where == "signal" else None
         effects.append({"name": placed.prefix[:-1], "channel": placed.site.channel, "signal": signal, "values": own,
                         "touches": effect.touches, **hooks})  # fmt: skip
@@ -209,6 +210,12 @@ def _module(model: Model, acting: list[Placed], torque: Array, bundle: Bundle) -
         f"{title.rstrip()}\n{body}\n\n\n# What the effects and drives do.\n\n{bundle.text}\n\nDELAY = {delay}\n\n"
         f"# What was exported.\n\n{shown}\n"
     )
+
+
+def _hooks(effect: Effect, values: Mapping[str, float]) -> list[str]:
+    """The hooks that an effect needs at these values of its parameters."""
+    idle = bool(effect.steps_with) and values[effect.steps_with] == 0.0
+    return [hook for hook in HOOKS if getattr(effect, hook) and not (hook == "step" and idle)]
 
 
 def _plain(placed: Placed, hook: str) -> Any:
@@ -298,7 +305,8 @@ def _placements(model: Model, acting: list[Placed], text: str, torque: Array) ->
     on = {placed.prefix for placed in acting}
     for use in model.effects:
         prefix = f"{use.effect.name}.{use.place}."
-        hooks = [IN_WORDS[hook] for hook in HOOKS if getattr(use.effect, hook)]
+        own = {p.name: infos[prefix + p.name].value for p in use.effect.parameters}
+        hooks = [IN_WORDS[hook] for hook in _hooks(use.effect, own)]
         native = pushes = False
         if prefix in on and (use.effect.fields or use.effect.spec):  # what they do depends on the rig
             _, _, other, less = _compiled(model.without_effect(use.effect.name, use.place))
