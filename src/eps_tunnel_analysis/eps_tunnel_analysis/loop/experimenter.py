@@ -191,15 +191,16 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
 
     def size(name: str) -> tuple[int, int, float]:
         effects = name.split(" + ")
-        return len(effects), sum(len(_parameters(e, registry)) for e in effects), -verdict.set[name]
+        return len(effects), sum(_values(e, registry) for e in effects), -verdict.set[name]
 
     simplest = min(sets, key=size)
     others = " or ".join(" with ".join(in_words(e, registry) for e in s.split(" + ")) for s in sets if s != simplest)
     return tuple(simplest.split(" + ")), f"No recording at hand distinguishes it from {others}; it is the simplest."
 
 
-def _parameters(name: str, registry: Registry) -> tuple[object, ...]:
-    return registry.effect(name.partition(".")[0]).parameters
+def _values(name: str, registry: Registry) -> int:
+    """How many values an effect needs; one that is kept as stated unless the effect is missing is a refinement."""
+    return sum(not p.settled for p in registry.effect(name.partition(".")[0]).parameters)
 
 
 @dataclass
