@@ -42,11 +42,8 @@ class Placed:
         return np.any([values[self.prefix + p.name] != p.off for p in switches], axis=0)
 
     def steps(self, values: Values) -> NDArray[np.bool_]:
-        """(nsim,) whether it has something to do before every step; values as for `acts`."""
-        acts, needs = self.acts(values), self.effect.steps_with
-        if not (self.effect.step or self.effect.error):
-            return np.zeros_like(acts)
-        return acts & (values[self.prefix + needs] != 0.0) if needs else acts
+        """(nsim,) whether its step has something to do; values as for `acts`."""
+        return self.acts(values) & self.effect.steps_at(local_values(values, self.prefix))
 
 
 def local_values(values: Values, prefix: str) -> dict[str, Array]:

@@ -19,6 +19,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.law import Law
 from labyrinth_sim.live import Fields, Live
@@ -242,6 +245,11 @@ class Effect:
     def only_measures(self) -> bool:
         """Whether it changes what is measured and nothing of the motion."""
         return not (self.command or self.error or self.spec or self.fields or self.step)
+
+    def steps_at(self, values: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Whether `step` has something to do at these values of its parameters, numbers or (nsim,) each."""
+        needed = values[self.steps_with] if self.steps_with else 1.0
+        return np.asarray(np.not_equal(needed, 0.0) & (self.step is not None))
 
     @property
     def main(self) -> Parameter:

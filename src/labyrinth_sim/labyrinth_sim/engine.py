@@ -46,29 +46,32 @@ class Laws:
     """The laws of a batch, and what each simulation gives them.
 
     Args:
-        acting: effects, those with an error or a step among them.
+        errors: effects with an error that act.
+        steps: those whose step has something to do; those of whole batches are left out.
         values: full parameter name -> (nsim,).
 
     Attributes:
         error: (nsim, u) rad, what drives see.
     """
 
-    def __init__(self, plan: Plan, acting: Sequence[Placed], values: Values, nsim: int) -> None:
-        placed = [(p, p.effect.error) for p in acting if p.effect.error]
+    def __init__(
+        self, plan: Plan, errors: Sequence[Placed], steps: Sequence[Placed], values: Values, nsim: int
+    ) -> None:
+        placed = [(p, p.effect.error, p.acts(values)) for p in errors]
         self._first = len(placed)
-        placed += [(p, p.effect.step) for p in acting if isinstance(p.effect.step, Law)]
-        self.codes = np.array([law.address for _, law in placed if isinstance(law, Law)], dtype=np.int64)
-        self.acts = np.array([p.steps(values) for p, _ in placed]).reshape(len(placed), nsim)
+        placed += [(p, p.effect.step, p.steps(values)) for p in steps if isinstance(p.effect.step, Law)]
+        self.codes = np.array([law.address for _, law, _ in placed if isinstance(law, Law)], dtype=np.int64)
+        self.acts = np.array([acts for _, _, acts in placed], dtype=bool).reshape(len(placed), nsim)
         self.values = np.zeros((nsim, len(placed), MOST_VALUES))
-        for k, (p, _) in enumerate(placed):
+        for k, (p, _, _) in enumerate(placed):
             own = [values[p.prefix + parameter.name] for parameter in p.effect.parameters]
             self.values[:, k, : len(own)] = np.column_stack(own)
         self.memory = np.zeros((nsim, len(placed), MEMORY))
-        sites = [p.site for p, _ in placed]
+        sites = [p.site for p, _, _ in placed]
         self.places = np.array(
             [[s.channel, s.actuator, s.dof, s.qpos, s.load_dof, s.tendon] for s in sites], dtype=np.int64
         ).reshape(len(sites), 6)
-        self.touches = sorted({name for p, _ in placed for name in p.effect.touches})
+        self.touches = sorted({name for p, _, _ in placed for name in p.effect.touches})
         mj = plan.mj
         self.drives = np.array(
             [[s.actuator, s.dof, s.qpos, back_emf_actuator(s), drive.by_duty] for drive, _, s in plan.drives],
@@ -211,9 +214,9 @@ class Engine:
         self._set_fields(values)
         self.nthread = nthread
         acting = plan.acting(values)
-        steps = [p for p in acting if p.effect.step and p.steps(values).any()]
+        errors, steps = [p for p in acting if p.effect.error], [p for p in acting if p.steps(values).any()]
         self._hooks = [(p, local_values(values, p.prefix)) for p in steps if not isinstance(p.effect.step, Law)]
-        self._errors = bool([p for p in acting if p.effect.error])
+        self._errors = bool(errors)
         none = np.zeros(nsim)
         self._ticks = np.column_stack([values.get(f"{p}feedback_tick", none) for _, p, _ in plan.drives])
         self._errors |= bool(self._ticks.any())
@@ -233,7 +236,7 @@ class Engine:
         self._whole = not (self._hooks or plan.with_ball or any(i is None for i in integrals))
         self._integral = np.column_stack([none if i is None else i for i in integrals])
         between = self._every_step or bool(self._integral.any())
-        self._laws = Laws(plan, acting, values, nsim) if between else None
+        self._laws = Laws(plan, errors, steps, values, nsim) if between else None
         self._off, self._any_off = np.zeros((nsim, len(plan.drives)), dtype=bool), False
         self._earlier: list[Delay] = []
         self._addresses = [_address(plan.mj, m) for m in model.rig.measured]

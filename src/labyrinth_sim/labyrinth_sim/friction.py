@@ -4,8 +4,20 @@
 import math
 
 import numba
+import numpy as np
 
+from labyrinth_sim.effect import Parameter, Values
+from labyrinth_sim.trials import Array
+
+SLOW = Parameter(
+    "slow", "rad/s", 0.0, 0.1, None, 0.0, "v_c; faster than that grease would be felt as damping", settled=True
+)
 SLOWEST = 1e-6  # of the speed at which it sets in; slower, its slope is that at rest
+
+
+def sharp(values: Values) -> Array:
+    """(nsim,) N m: the torque where it acts at any speed, 0 where it sets in gradually."""
+    return np.where(values["slow"] > 0.0, 0.0, values["torque"])
 
 
 @numba.njit  # type: ignore[untyped-decorator]

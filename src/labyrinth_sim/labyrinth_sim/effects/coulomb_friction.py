@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coulomb friction: MuJoCo's frictionloss where it is sharp, joint damping rewritten before every step where not."""
 
-import numpy as np
-
 from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.friction import gradual_damping
+from labyrinth_sim.friction import SLOW, gradual_damping, sharp
 from labyrinth_sim.law import law, state
 from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
-    fields["dof_frictionloss"][:, site.dof] += np.where(values["slow"] > 0.0, 0.0, values["torque"])
+    fields["dof_frictionloss"][:, site.dof] += sharp(values)
 
 
 @law
@@ -27,9 +25,7 @@ EFFECT = Effect(
     equation="torque = -F sign(speed); at rest |torque| <= F; -F tanh(speed / v_c) if it sets in gradually",
     parameters=(
         Parameter("torque", "N m", 0.0, 1.0, 0.0, 0.2, "0 to a third of the stall torque of a servo of this class"),
-        Parameter(
-            "slow", "rad/s", 0.0, 0.1, None, 0.0, "v_c; faster than that grease would be felt as damping", settled=True
-        ),
+        SLOW,
     ),
     stage="mjcf",
     mark="The axis stops short of its target by the same angle from either side; flat tops after slow reversals.",

@@ -5,14 +5,14 @@ sharp, joint damping rewritten before every step where not."""
 import numpy as np
 
 from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.friction import gradual_damping
+from labyrinth_sim.friction import SLOW, gradual_damping, sharp
 from labyrinth_sim.law import law, state
 from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
-    half = np.where(values["slow"] > 0.0, 0.0, values["torque"] / 2)
+    half = sharp(values) / 2
     fields["dof_frictionloss"][:, site.dof] += np.abs(half)
     fields.torque[:, site.dof] -= half
 
@@ -32,9 +32,7 @@ EFFECT = Effect(
     "T tanh(|speed| / v_c) if it sets in gradually",
     parameters=(
         Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign"),
-        Parameter(
-            "slow", "rad/s", 0.0, 0.1, None, 0.0, "v_c; faster than that grease would be felt as damping", settled=True
-        ),
+        SLOW,
     ),
     stage="mjcf",
     mark="The axis stops short of its target coming from one side only.",

@@ -214,8 +214,7 @@ def _module(model: Model, acting: list[Placed], torque: Array, bundle: Bundle) -
 
 def _hooks(effect: Effect, values: Mapping[str, float]) -> list[str]:
     """The hooks that an effect needs at these values of its parameters."""
-    idle = bool(effect.steps_with) and values[effect.steps_with] == 0.0
-    return [hook for hook in HOOKS if getattr(effect, hook) and not (hook == "step" and idle)]
+    return [hook for hook in HOOKS if getattr(effect, hook) and (hook != "step" or effect.steps_at(values))]
 
 
 def _plain(placed: Placed, hook: str) -> Any:
