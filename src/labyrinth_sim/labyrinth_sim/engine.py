@@ -1,27 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one engine under batches and the live node: many simulations of one plan, and the laws that act on them."""
+"""The one engine under batches and the live node: many simulations of one plan."""
 
-import copy
+import itertools
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cached_property, partial
 
 import mujoco
 import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
-from labyrinth_sim.build import Placed, Plan, local_values
+from labyrinth_sim.build import Plan, local_values
+from labyrinth_sim.command_steps import CommandSteps, StepTorques, command_steps
 from labyrinth_sim.effect import Controller, Values
 from labyrinth_sim.filters import Delay
 from labyrinth_sim.first_state import place_ball
-from labyrinth_sim.law import DATA, MEMORY, MODEL, MOST_VALUES, Addresses, Law, apply, roll, step_address
+from labyrinth_sim.law import Law
 from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Measured
-from labyrinth_sim.servo import back_emf_actuator
+from labyrinth_sim.runner import Laws, Runner
 from labyrinth_sim.site import ball_site
 from labyrinth_sim.trials import Array
 
@@ -32,165 +33,8 @@ Columns = slice | NDArray[np.intp]
 LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
 CHECK_EVERY = 50  # samples between checks for simulations that diverged
 LEAD_TIME = 0.01  # s, over which a drive's law sees by how much its target changes; the paper's sample
-SPREAD = 2  # samples over which a delay may spread a step of a command
-FAR = 2.0  # times what saturates a drive, beyond which a step counts so, in full from this times that on
-WHOLE_STEP = 20  # power of a step's share of a sample with which what goes beyond a saturated drive's reach counts
 AT_ONCE = 1024  # MuJoCo steps of one uninterrupted stretch; bounds the memory of what is recorded
 RECORDED = {"position": "qpos", "velocity": "qvel", "torque": "qfrc_actuator"}
-BASE = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
-#: `Live` has them by these names.
-NAMED = ("qpos", "qvel", "applied", "actuator", "bias", "passive", "ctrl", "length", "rate")
-
-
-class Laws:
-    """The laws of a batch, and what each simulation gives them.
-
-    Args:
-        errors: effects with an error that act.
-        steps: those whose step has something to do; those of whole batches are left out.
-        values: full parameter name -> (nsim,).
-
-    Attributes:
-        error: (nsim, u) rad, what drives see.
-    """
-
-    def __init__(
-        self, plan: Plan, errors: Sequence[Placed], steps: Sequence[Placed], values: Values, nsim: int
-    ) -> None:
-        placed = [(p, p.effect.error, p.acts(values)) for p in errors]
-        self._first = len(placed)
-        placed += [(p, p.effect.step, p.steps(values)) for p in steps if isinstance(p.effect.step, Law)]
-        self.codes = np.array([law.address for _, law, _ in placed if isinstance(law, Law)], dtype=np.int64)
-        self.acts = np.array([acts for _, _, acts in placed], dtype=bool).reshape(len(placed), nsim)
-        self.values = np.zeros((nsim, len(placed), MOST_VALUES))
-        for k, (p, _, _) in enumerate(placed):
-            own = [values[p.prefix + parameter.name] for parameter in p.effect.parameters]
-            self.values[:, k, : len(own)] = np.column_stack(own)
-        self.memory = np.zeros((nsim, len(placed), MEMORY))
-        sites = [p.site for p, _, _ in placed]
-        self.places = np.array(
-            [[s.channel, s.actuator, s.dof, s.qpos, s.load_dof, s.tendon] for s in sites], dtype=np.int64
-        ).reshape(len(sites), 6)
-        self.touches = sorted({name for p, _, _ in placed for name in p.effect.touches})
-        mj = plan.mj
-        self.drives = np.array(
-            [[s.actuator, s.dof, s.qpos, back_emf_actuator(s), drive.by_duty] for drive, _, s in plan.drives],
-            dtype=np.int64,
-        )
-        self.sizes = np.array([mj.nq, mj.nv, mj.nu, mj.ntendon, len(plan.drives)], dtype=np.int64)
-        self.step = np.zeros(1)
-        self.error = np.zeros((nsim, len(plan.drives)))
-        self._outside: tuple[Addresses, Addresses] | None = None  # tables and arguments for `apply_*`
-
-    def of(self, simulation: int) -> tuple[NDArray[np.intp], int]:
-        """Which laws act on a simulation, and how many of those change errors."""
-        which = np.flatnonzero(self.acts[:, simulation])
-        return which, int((which < self._first).sum())
-
-    def arguments(self, simulation: int, table: Addresses) -> Addresses:
-        """(l, 7) what each law is called with: addresses."""
-        raws = np.empty((len(self.codes), 7), dtype=np.int64)
-        raws[:, 0], raws[:, 1] = table.ctypes.data, self.sizes.ctypes.data
-        raws[:, 2] = self.places.ctypes.data + self.places.strides[0] * np.arange(len(raws))
-        for column, array in ((3, self.values), (4, self.memory)):
-            raws[:, column] = array[simulation].ctypes.data + array.strides[1] * np.arange(len(raws))
-        raws[:, 5], raws[:, 6] = self.step.ctypes.data, self.drives.ctypes.data
-        return raws
-
-    def apply_errors(self, live: Live, fields: Fields) -> None:
-        """Lets laws change `error` of a batch that is stepped from outside."""
-        self._apply(live, fields, slice(0, self._first))
-
-    def apply_forces(self, live: Live, fields: Fields) -> None:
-        """Lets laws change the fields of a batch that is stepped from outside."""
-        self._apply(live, fields, slice(self._first, None))
-
-    def _apply(self, live: Live, fields: Fields, which: slice) -> None:
-        if not len(self.codes[which]):
-            return
-        if self._outside is None:
-            self.step[0] = live.step
-            tables = np.array([self._table(live, fields, i) for i in range(len(self.error))])
-            self._outside = tables, np.stack([self.arguments(i, tables[i]) for i in range(len(tables))])
-        for i in range(len(self.error)):
-            own = np.flatnonzero(self.acts[which, i])
-            apply(self.codes[which][own], self._outside[1][i : i + 1, which][:, own])
-
-    def _table(self, live: Live, fields: Fields, i: int) -> Addresses:
-        model = {name: fields[name][i] if name in self.touches else getattr(fields.model, name) for name in MODEL}
-        base = [live.base[name][i] if name in live.base else getattr(fields.model, name) for name in BASE]
-        arrays = [*(getattr(live, name)[i] for name in NAMED), *model.values(), *base, self.error[i]]
-        return np.array([a.ctypes.data for a in arrays], dtype=np.int64)
-
-
-class Runner:
-    """One model and one state, filled with one simulation of a batch after the other."""
-
-    def __init__(self, plan: Plan, fields: Fields) -> None:
-        self._drives = plan.drives
-        self._fields, self._derived = fields, any(name in mujoco.MjModel._setconst_inputs for name in fields.used)
-        self.model = copy.copy(plan.mj)
-        self._disabled = int(plan.mj.opt.disableactuator)  # by the MJCF
-        self.data = mujoco.MjData(self.model)
-
-    def load(self, simulation: int, qpos: Array, qvel: Array) -> None:
-        """Takes a simulation's fields and its first state."""
-        if self._derived:
-            self.model = self._fields.model_of(simulation)
-        else:
-            for name, numbers in self._fields.used.items():
-                owner, _, last = name.rpartition(".")
-                holder = getattr(self.model, owner) if owner else self.model
-                if np.ndim(getattr(holder, last)):
-                    getattr(holder, last)[...] = numbers[simulation]
-                else:
-                    setattr(holder, last, numbers[simulation].reshape(-1)[0].item())
-        self.model.opt.disableactuator = self._disabled
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:], self.data.qvel[:] = qpos, qvel
-        self.data.qfrc_applied[:] = self._fields.torque[simulation]
-        mujoco.mj_forward(self.model, self.data)
-        self._sums = np.zeros(len(self._drives))
-        self._torque = np.ascontiguousarray(self._fields.torque[simulation])
-        self._base = {name: np.array(getattr(self.model, name)) for name in MODEL}
-
-    def switch(self, off: int) -> None:
-        """Switches the actuator groups of these bits off, all others on."""
-        self.model.opt.disableactuator = off
-
-    def roll(
-        self,
-        laws: Laws,
-        simulation: int,
-        control: Array,
-        targets: Array,
-        gain: Array,
-        ticks: Array,
-        integral: Array,
-        substeps: int,
-        every: float,
-        measured: Addresses,
-        limit: float,
-        out: Array,
-    ) -> int:
-        """The sample at which the simulation diverged, or -1; see `labyrinth_sim.law.roll`."""
-        m, d, error = self.model, self.data, laws.error[simulation]
-        arrays = [getattr(d, name) for name in DATA] + [getattr(m, name) for name in MODEL]
-        arrays += [self._base[name] for name in BASE] + [error]
-        table = np.array([a.ctypes.data for a in arrays], dtype=np.int64)
-        laws.step[0] = m.opt.timestep
-        which, first_force = laws.of(simulation)
-        pairs = [(self._torque, d.qfrc_applied), *((self._base[n], getattr(m, n)) for n in laws.touches)]
-        restore = np.array([(a.ctypes.data, b.ctypes.data, a.size) for a, b in pairs], dtype=np.int64)
-        at = np.array([d.qpos.ctypes.data, d.qvel.ctypes.data, d.qfrc_actuator.ctypes.data, d.ctrl.ctypes.data,
-                       error.ctypes.data, m.nq, m.nv], dtype=np.int64)  # fmt: skip
-        return int(roll(
-            step_address(), m._address, d._address, laws.codes[which], first_force,
-            laws.arguments(simulation, table)[which], restore, at, laws.drives, np.ascontiguousarray(control),
-            np.ascontiguousarray(targets), np.ascontiguousarray(gain),
-            np.ascontiguousarray(ticks), np.ascontiguousarray(integral), self._sums, substeps, every,
-            measured, limit, out,
-        ))  # fmt: skip
 
 
 class Engine:
@@ -291,56 +135,26 @@ class Engine:
             (nsim, T, m) signals at the start of each sample, before any sensor's effects; the ball's last. Efforts are
             those that act from then on.
         """
-        if means:
-            targets = self._within_reach(targets)
+        targets, steps = command_steps(targets, self._reach) if means else (targets, None)
         if not self._whole:
-            return self._stepped(targets)
+            return self._stepped(targets, steps)
         if self._laws is not None:
-            return self._with_laws(self._laws, targets)
-        return self._uninterrupted(targets)
+            return self._with_laws(self._laws, targets, steps)
+        return self._uninterrupted(targets, steps)
 
-    def _within_reach(self, targets: Array) -> Array:
-        """Targets (nsim, T, u) that give a drive which saturates the torque that it has in the mean over a sample.
-
-        Where a command steps within a sample, the target is what was asked for in the mean. A small part of a large
-        step already asks for all that the drive gives, and would have it for the whole sample: so there the step counts
-        no further than the error at which the drive gives its most. Samples that hold all of the step stay as they are,
-        and so do small steps, by which a drive is soon up to speed, and ramps, which go on as they came.
-        """
-        found = targets
-        for i, reach in enumerate(self._reach):
-            own = targets[:, :, i]
-            if reach is None or own.shape[1] <= 2 * SPREAD:
-                continue
-            before, after = own[:, : -2 * SPREAD], own[:, 2 * SPREAD :]
-            change, middle = after - before, own[:, SPREAD:-SPREAD]
-            least = FAR * reach[:, None]
-            with np.errstate(invalid="ignore"):
-                if not (np.abs(change) > least).any():
-                    continue  # before ramps are looked for, which takes longer
-                step = (np.abs(change) - _of_a_ramp(own, np.sign(change))) / least
-                far = step > 1.0
-            found = targets.copy() if found is targets else found
-            share = (middle - before)[far] / change[far]
-            most = (np.sign(change) * reach[:, None])[far]
-            kept = before[far] + share * most + share**WHOLE_STEP * (change[far] - most)
-            how_far = np.minimum(np.log(step[far]) / np.log(FAR), 1.0)
-            partly = np.where((share >= 0.0) & (share <= 1.0), how_far, 0.0)
-            found[:, SPREAD:-SPREAD, i][far] += partly * (kept - middle[far])
-        return found
-
-    def _stepped(self, targets: Array) -> Array:
+    def _stepped(self, targets: Array, steps: CommandSteps | None = None) -> Array:
         samples = targets.shape[1]
         raw = np.empty((self.nsim, samples, self._signals))
+        within = set(steps.samples) if steps else set()
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(samples):
                 raw[:, k] = self.measure()
-                self.advance(targets[:, k], raw[:, k])
+                self.advance(targets[:, k], raw[:, k], steps.at(k) if steps and k in within else None)
                 if k % CHECK_EVERY == 0 or k == samples - 1:
                     self.check(k * self.step)
         return raw
 
-    def _uninterrupted(self, targets: Array) -> Array:
+    def _uninterrupted(self, targets: Array, steps: CommandSteps | None) -> Array:
         """Controls that are known beforehand: MuJoCo steps from one change of what is switched on to the next."""
         samples = targets.shape[1]
         raw = np.empty((self.nsim, samples, self._signals))
@@ -349,12 +163,37 @@ class Engine:
         off = np.isnan(targets)
         control = self._controls(targets, off)
         most = max(1, AT_ONCE // self.substeps)
-        for low, high in _stretches(off, most):
+        within = set(steps.samples) if steps else set()
+        for low, high in _stretches(off, most, within):
             if (off[:, low] != self._off).any():
                 self._switch(off[:, low])
+            own = steps.at(low) if steps and low in within else None
+            more = self._push(own, control[own.sim, low, self._torques.actuator[own.axis]]) if own else None
             self._record(control[:, low:high], raw, low)
+            if more is not None:
+                self.live.applied[...] = self.fields.torque
+                self._count(more, raw[:, low])
             self.check(high * self.step)
         return raw
+
+    @cached_property
+    def _torques(self) -> StepTorques:
+        return StepTorques(self.plan, self.fields, self._gain)
+
+    def _push(self, steps: CommandSteps, control: Array) -> Array:
+        """(nsim, nv) what is missing of the drives' torques in a sample in which commands step; it acts from now on."""
+        sims, dofs, places = steps.sim, self._torques.dof[steps.axis], self._torques.qpos[steps.axis]
+        more = np.zeros_like(self.live.applied)
+        angle, speed = self.live.qpos[sims, places], self.live.qvel[sims, dofs]
+        more[sims, dofs] = self._torques(steps, control, angle, speed)
+        self.live.applied[...] = self.fields.torque + more
+        return more
+
+    def _count(self, more: Array, seen: Array) -> None:
+        """Adds torques (nsim, nv) to the efforts among signals (nsim, m)."""
+        for column, (quantity, address) in enumerate(self._addresses):
+            if quantity == "torque":
+                seen[:, column] += more[:, address]
 
     def _controls(self, targets: Array, off: NDArray[np.bool_]) -> Array:
         """(nsim, T, nu) of all actuators, as far as the targets alone tell."""
@@ -363,12 +202,11 @@ class Engine:
             control[:, :, site.actuator] = np.where(off[:, :, i], 0.0, self._law(i, targets[:, :, i]))
         return control
 
-    def _with_laws(self, laws: Laws, targets: Array) -> Array:
+    def _with_laws(self, laws: Laws, targets: Array, steps: CommandSteps | None) -> Array:
         """Simulations with laws between their steps, each by itself, in one compiled loop."""
         raw = np.zeros((self.nsim, targets.shape[1], self._signals))
         off = np.isnan(targets)
         controls = self._controls(targets, off)
-        stretches = _stretches(off)
         disabled = self._disabled(off)
         measured = np.array([(list(RECORDED).index(q), address) for q, address in self._addresses], dtype=np.int64)
         qpos, qvel, gain = self.live.qpos, self.live.qvel, np.column_stack(self._gain)
@@ -378,11 +216,18 @@ class Engine:
             runner, failed = Runner(self.plan, self.fields), []
             for i in own:
                 runner.load(i, qpos[i], qvel[i])
-                for low, high in stretches:
+                mine = steps.of(i) if steps else None
+                within = set(mine.samples) if mine else set()
+                for low, high in _stretches(off, within=within):
                     runner.switch(int(disabled[i, low]))
+                    here = mine.at(low) if mine and low in within else None
+                    more = runner.push(here, controls[i, low], self._integral[i], self._torques) if here else None
                     at = runner.roll(laws, i, controls[i, low:high], targets[i, low:high], gain[i],
                                      self._ticks[i], self._integral[i], self.substeps, self.step,
                                      measured, LIMIT, raw[i, low:high])  # fmt: skip
+                    if more is not None:
+                        self._count(more[None], raw[i : i + 1, low])
+                        runner.push_no_more()
                     if at >= 0:
                         failed.append((i, low + at))
                         break
@@ -434,11 +279,12 @@ class Engine:
         change = np.nan_to_num(targets - self._earlier[channel](targets, targets))
         return control + (LEAD_TIME / self._window) * lead[:, None] * change
 
-    def advance(self, target: Array, seen: Array | None = None) -> None:
+    def advance(self, target: Array, seen: Array | None = None, steps: CommandSteps | None = None) -> None:
         """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off.
 
         Args:
             seen: (nsim, m) signals; their efforts become those that acted at first.
+            steps: of commands within this sample.
         """
         off = np.isnan(target)
         if (off != self._off).any():
@@ -454,15 +300,25 @@ class Engine:
                     controller.restart(off[:, i])
             base.append(control)
             self._control(i, control, off[:, i])
+        more = (
+            self._push(steps, np.array([base[a][i] for i, a in zip(steps.sim, steps.axis, strict=True)]))
+            if steps
+            else None
+        )
         if not self._every_step:
             self._first(seen, partial(self.batch.step, nstep=1, stage=self._stage if self.substeps == 1 else 0))
             if self.substeps > 1:
                 self._run(partial(self.batch.step, nstep=self.substeps - 1, stage=self._stage))
-            return
-        for k in range(self.substeps):
+        for k in range(self.substeps if self._every_step else 0):
             self._before_step(target, base, off)
+            if more is not None:
+                self.live.applied += more
             stage = self._stage if k == self.substeps - 1 else 0
             self._first(seen if k == 0 else None, partial(self.batch.step, nstep=1, stage=stage))
+        if more is not None:
+            self.live.applied[...] = self.fields.torque
+            if seen is not None:
+                self._count(more, seen)
 
     def _first(self, seen: Array | None, call: Callable[[NDArray[np.int32] | None], None]) -> None:
         self._run(call)
@@ -562,19 +418,14 @@ class Engine:
         self.live.qvel[:, self._ball.ball_dof : self._ball.ball_dof + 6] = 0.0
 
 
-def _stretches(off: NDArray[np.bool_], most: int | None = None) -> list[tuple[int, int]]:
-    """Samples [low, high), `most` at once, during which no drive is switched on or off (nsim, T, u)."""
-    edges = np.flatnonzero((off[:, 1:] != off[:, :-1]).any(axis=(0, 2))) + 1
-    parts = zip([0, *map(int, edges)], [*map(int, edges), off.shape[1]], strict=True)
+def _stretches(off: NDArray[np.bool_], most: int | None = None, within: Collection[int] = ()) -> list[tuple[int, int]]:
+    """Samples [low, high), `most` at once, during which no drive is switched on or off (nsim, T, u); those within which
+    commands step by themselves.
+    """
+    edges = {int(k) + 1 for k in np.flatnonzero((off[:, 1:] != off[:, :-1]).any(axis=(0, 2)))}
+    cuts = sorted({0, off.shape[1], *edges, *within, *(k + 1 for k in within)})
+    parts = itertools.pairwise(cuts)
     return [(low, min(low + (most or last), last)) for first, last in parts for low in range(first, last, most or last)]
-
-
-def _of_a_ramp(targets: Array, sign: Array) -> Array:
-    """(nsim, T - 2 SPREAD) how far targets (nsim, T) move that way in the 2 SPREAD samples before or after those."""
-    width = 2 * SPREAD
-    held = np.pad(targets, ((0, 0), (width, width)), mode="edge")
-    moved = np.nan_to_num(held[:, width:] - held[:, :-width])
-    return np.maximum(np.maximum(sign * moved[:, : -2 * width], sign * moved[:, 2 * width :]), 0.0)
 
 
 def _whole(angle: Array, tick: Array) -> Array:

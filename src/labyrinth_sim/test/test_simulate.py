@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labyrinth_sim.build import compiled
+from labyrinth_sim.command_steps import command_steps
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.first_state import first_state
@@ -78,6 +79,11 @@ def test_mujoco_without_a_stop_gives_what_single_steps_give(name: str) -> None:
     assert not np.array_equal(through[0], through[1])
     more = targets[:, ::-1]  # and the next roll-out goes on from where both stand
     assert np.array_equal(rolled.roll(more), stepped._stepped(more))
+    turns = np.where(np.arange(len(TIME))[None, :, None] // 7 % 2 == 0, 0.9, -0.8) * np.ones_like(targets)
+    turns[:, 7::7] *= 0.3  # within the sample
+    targets, steps = command_steps(turns, stepped._reach)
+    assert steps is not None
+    assert np.array_equal(rolled.roll(turns, means=True), stepped._stepped(targets, steps))
 
 
 def test_what_only_a_sensor_shows_is_not_stepped_again(model: Model, commands: np.ndarray) -> None:
@@ -256,6 +262,37 @@ def test_a_step_within_a_sample_counts_as_long_as_it_acts_though_the_drive_satur
     off = [float(np.abs(moved(step, means) - exact).max()) for means in (True, False)]
     assert off[0] < 0.005 < 0.15 * off[1]
     assert np.array_equal(moved(step, True)[0], moved(step, False)[0])  # here every sample holds all of a command
+
+
+SATURATED = {
+    "pendulum": {"drive.pendulum.kp": 4000.0},  # full duty, with back-EMF beyond its limit
+    "horn": {"drive.horn.stiffness": 100.0, "drive.horn.damping": 1.0, "drive.horn.back_emf": 0.1},
+}
+
+
+@pytest.mark.parametrize("name", SATURATED)
+@pytest.mark.parametrize("law", [False, True])
+def test_a_drive_that_gives_all_it_has_turns_around_within_a_sample(name: str, law: bool) -> None:
+    """To and fro, saturated before each command and after it, so that the instants decide on the motion."""
+    given = load_model(name).with_values(SATURATED[name])
+    if law:  # stepped one by one, with laws between the steps
+        given = given.with_effect("load_friction", name, {"share": 0.01})
+    delays = np.array([[0.0102], [0.0115], [0.0138]])
+    step = 0.002
+
+    def moved(every: float) -> np.ndarray:
+        time = np.arange(round(0.6 / every) + 1) * every
+        turns = np.floor((time + 1e-9) / 0.06)
+        sent = np.where(turns < 1, 0.0, np.where(turns % 2 == 1, 1.0, -1.0))[None, :, None]
+        found = simulate_batch(
+            given, [f"drive.{name}.delay"], delays, time, sent, timestep=every, means=every == step,
+            extrapolate=True,
+        )  # fmt: skip
+        return found.values[:, 0, :: round(step / every), 0]
+
+    exact, seen = moved(0.0001), moved(step)
+    assert np.abs(exact).max() > 0.25
+    assert np.abs(seen - exact).max() < 0.005  # 0.02 to 0.035 if each turn waits for the next sample
 
 
 def test_a_ramp_is_no_step_however_fast_for_a_stiff_drive() -> None:
