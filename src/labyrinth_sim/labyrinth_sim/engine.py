@@ -136,6 +136,8 @@ class Engine:
             those that act from then on.
         """
         targets, steps = command_steps(targets, self._reach) if means else (targets, None)
+        if steps:
+            _ = self._torques  # reads the drives' fields before any law changes them
         if not self._whole:
             return self._stepped(targets, steps)
         if self._laws is not None:
@@ -300,11 +302,9 @@ class Engine:
                     controller.restart(off[:, i])
             base.append(control)
             self._control(i, control, off[:, i])
-        more = (
-            self._push(steps, np.array([base[a][i] for i, a in zip(steps.sim, steps.axis, strict=True)]))
-            if steps
-            else None
-        )
+        more = None
+        if steps:
+            more = self._push(steps, np.array([base[a][i] for i, a in zip(steps.sim, steps.axis, strict=True)]))
         if not self._every_step:
             self._first(seen, partial(self.batch.step, nstep=1, stage=self._stage if self.substeps == 1 else 0))
             if self.substeps > 1:
