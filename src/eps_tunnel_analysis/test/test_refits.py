@@ -20,12 +20,14 @@ from eps_tunnel_analysis.diagnose.axis import (
     refined,
     rival_refits,
     stated_jobs,
+    tick_refits,
 )
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
+from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import Job, Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
@@ -419,6 +421,27 @@ def test_an_effect_of_several_values_is_fitted_from_several_of_its_own(recorded:
     from_where = {c.name: [tuple(v[search.columns(c)]) for (o,), v in fitted if o is c] for (c,), _ in fitted}
     assert len(from_where["gravity_load.x"]) == 1
     assert len(set(from_where["stribeck_friction.x"])) == 3
+
+
+def test_a_tick_of_which_a_command_spans_many_is_found_where_other_starts_miss_it() -> None:
+    levels = np.radians(np.random.default_rng(0).uniform(-10.0, 10.0, 20))
+    targets = np.repeat(np.append(0.0, levels[1:]), 20)
+    tick, model = np.abs(targets).max() / 97.3, start().with_values(TRUTH)
+    truth = model.with_effect("command_quantisation", "x", {"tick": tick})
+    trials = [Play("levels", made_by(truth, np.column_stack([targets, 0.0 * targets])))]
+    part = next(p for p in axis_parts(model, trials) if p.name == "x")
+    search = axis_search(model, trials, part, SearchOptions(("command_quantisation",), 1))
+    column = search.library.names.index("command_quantisation.x.tick")
+    at = search.start.copy()
+    at[column] = tick
+    search.levels = {level: e.less(e(at[None])[0]) for level, e in search.levels.items()}  # it was this that made them
+    base = search.refit([((), search.start)], 4)[0]
+    (found,) = tick_refits(search, [base], 1.1)
+    assert found.values[column] == pytest.approx(tick, rel=0.25 / 97.3)
+    assert found.cost < 0.2 * base.cost
+    assert min(r.cost for r in next_refits(search, [base])) > 5.0 * found.cost, "this test needs no ticks of its own"
+    assert not tick_refits(search, [found], 0.0), "it has a tick"
+    assert not tick_refits(search, [base], 1.1 * worst_floors(base.residuals, search.signal)), "it leaves little"
 
 
 def test_a_set_starts_within_its_bounds_though_what_it_contains_goes_further(recorded: list[Play]) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one axis lacks: single effects, sets of effects, and sets that contain them."""
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
-from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, every_tick, is_tick, starts
 from eps_tunnel_analysis.diagnose.rank import UNREPEATED, Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import (
@@ -123,6 +124,34 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     beside = [np.concatenate([again[0].values[:size], r.values[size:]]) for r in near]
     named = [tuple(search.library.find(n) for n in r.effects) for r in near]
     return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
+
+
+def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Refit]:
+    """Ticks of commands on top of refits, where an axis leaves more than `allowed` floors: all that round differently.
+
+    The more ticks a command spans, the narrower is the valley of each: starts a few per cent apart miss fine ones.
+    """
+    evidence, rig = search.evidence, search.library.model.rig
+    jobs: list[Job] = []
+    for axis in rig.axes:
+        own = [evidence.signals.index(m.signal) for m in axis.measured
+               if m.quantity == "position" and m.signal in evidence.signals]  # fmt: skip
+        here = np.isin(search.signal, own)
+        ticks = [c for c in search.library.candidates
+                 if is_tick(c) and c.effect.stage == "command" and c.place == axis.name]  # fmt: skip
+        channel = rig.command_channels.index(axis.command)
+        largest = max(float(np.nanmax(np.abs(c[:, channel]), initial=0.0)) for c in evidence.commands)
+        for refit, candidate in itertools.product(on, ticks if here.any() else ()):
+            left = worst_floors(refit.residuals[here], search.signal[here])
+            if candidate.name in refit.effects or left <= max(allowed, 1.0):
+                continue
+            # Rounding of less than what is left, uniform within a tick, cannot explain it.
+            finest = np.sqrt(12.0 * (left - 1.0)) * float(np.median(search.scale[here]))
+            search.settle_at(refit)
+            points = search.trial_points([refit], [candidate], every_tick(candidate, largest, finest))[:STARTS_EACH]
+            fitted = tuple(search.library.find(name) for name in refit.effects)
+            jobs += [((*fitted, candidate), point.values) for point in points]
+    return search.best_of(jobs, ROUNDS) if jobs else []
 
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
@@ -354,10 +383,16 @@ def refitted_sets(
         best = lowest([base, *refits])
         worth = _explains(base, best)
         enough = partial(_enough, search, base, healthy=healthy, level=level, floor=floor)
-        while (
-            worth and 0 < len(best.effects) < most
-            and worst_floors(best.residuals, search.signal) > enough(best, refits)
-        ):  # fmt: skip
+
+        def lacking(refit: Refit) -> bool:
+            return worst_floors(refit.residuals, search.signal) > enough(refit, refits)
+
+        if lacking(best):
+            ticks = tick_refits(search, list({r.effects: r for r in (base, best)}.values()), allowed)
+            refits = best_by_set([*refits, *ticks])
+            best = lowest([best, *ticks])
+            worth = _explains(base, best)
+        while worth and 0 < len(best.effects) < most and lacking(best):
             more = next_refits(search, [best, *_runners_up(best, refits)], PAIR_SHORTLIST)
             more += rival_refits(search, lowest(more), [*refits, *more]) if more else []
             refits = best_by_set([*refits, *more])

@@ -23,6 +23,8 @@ TICKS_APART = 1.056  # times the next finer one: the valley of a tick is some 4 
 FINEST_TICK = 0.05  # of the typical one; the coarsest
 COARSEST_TICK = 0.95  # of the largest
 MULTIPLES = 64  # of a known tick
+PART_OF_A_TICK = 0.25  # by which the largest command moves from one of all ticks to the next
+MOST_TICKS = 2000  # of all ticks at most
 BALL_VALUES = 25
 MOST_CROSSED = 2  # values that only shape an effect, of which all combinations are tried
 
@@ -183,16 +185,13 @@ def starts(candidate: Candidate) -> Array:
     if candidate.effect.nameless:  # a table's values act one by one and in proportion
         return np.array([[p.off or 0.0 for p in declared]])
     if is_tick(candidate):  # rounding fits at one value and hardly next to it
-        rows = [[p.typical for p in declared]]
-        rows += [[*rows[0][:k], p.high, *rows[0][k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low]
+        rows = _roundings(declared)
         finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
         tried = np.geomspace(finest, coarsest, round(np.log(coarsest / finest) / np.log(TICKS_APART)) + 1)
         if candidate.register > 0.0:  # a register that lacks bits has whole multiples of its tick
             most = min(int(coarsest / candidate.register), MULTIPLES)
             tried = np.append(tried, candidate.register * np.arange(2, most + 1))
-        ticks = np.repeat(rows, len(tried), axis=0)
-        ticks[:, 0] = np.tile(tried, len(rows))
-        return ticks
+        return _with_ticks(rows, tried)
     if is_rough(candidate):
         spread = np.linspace(declared[0].low, declared[0].high, BALL_VALUES)[:, None]
         return spread[spread[:, 0] != declared[0].off]
@@ -206,6 +205,34 @@ def starts(candidate: Candidate) -> Array:
         values = iter(strength), iter(shape)
         rows.append([next(values[0] if p.off is not None else values[1]) for p in declared])
     return np.unique(np.array(rows), axis=0)
+
+
+def every_tick(candidate: Candidate, largest: float, finest: float) -> Array:
+    """Values (s, k) of a candidate: every tick, the coarsest first, that rounds commands otherwise than the last one.
+
+    A tick q fits commands of up to `largest` only where largest / q, the number of ticks, is right to a part of one.
+    So the ticks are evenly spaced in that number.
+
+    Args:
+        largest, finest: rad; the finest tick is coarser where there would be too many.
+    """
+    fewest, most = largest / (COARSEST_TICK * candidate.declared[0].high), largest / finest
+    count = min(int((most - fewest) / PART_OF_A_TICK) + 1, MOST_TICKS) if most > fewest else 0
+    numbers = fewest + PART_OF_A_TICK * np.arange(count, dtype=np.float64)
+    return _with_ticks(_roundings(candidate.declared), largest / numbers)
+
+
+def _roundings(declared: Sequence[Parameter]) -> list[list[float]]:
+    """Typical values, and the other ways to round: of each value that is off at its lower bound the largest."""
+    typical = [p.typical for p in declared]
+    return [typical, *([*typical[:k], p.high, *typical[k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low)]
+
+
+def _with_ticks(rows: Sequence[Sequence[float]], ticks: Array) -> Array:
+    """Every one of some rows of values with each tick in its first place."""
+    found = np.repeat(np.asarray(rows, dtype=np.float64), len(ticks), axis=0)
+    found[:, 0] = np.tile(ticks, len(rows))
+    return found
 
 
 def _spread(p: Parameter) -> Array:

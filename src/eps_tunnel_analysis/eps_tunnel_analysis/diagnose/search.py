@@ -508,16 +508,21 @@ class Search:
         best = int(np.nanargmin(np.mean(residuals**2, axis=1)))
         return around[best], residuals[best]
 
-    def trial_points(self, refits: Sequence[Refit], candidates: Sequence[Candidate]) -> list[TrialPoint]:
+    def trial_points(
+        self, refits: Sequence[Refit], candidates: Sequence[Candidate], given: Array | None = None
+    ) -> list[TrialPoint]:
         """Every start of every candidate on top of each refit, by promised cost, best first.
 
         On top of refits after the first, candidates with many starts are left out.
+
+        Args:
+            given: (s, k) starts of the one candidate, in place of its own.
         """
         points: list[TrialPoint] = []
         for number, refit in enumerate(refits):
             pending: list[tuple[Candidate, Array]] = []
             for candidate in (c for c in candidates if c.name not in refit.effects):
-                rows = starts(candidate)
+                rows = starts(candidate) if given is None else given
                 for row in rows if number == 0 or len(rows) <= FEW_STARTS else ():
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row
