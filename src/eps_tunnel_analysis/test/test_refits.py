@@ -24,7 +24,7 @@ from eps_tunnel_analysis.diagnose.axis import (
 )
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley
-from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
+from eps_tunnel_analysis.diagnose.evidence import Evidence, Residuals, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
@@ -70,6 +70,30 @@ def test_the_order_of_the_trials_does_not_matter(recorded: list[Play]) -> None:
     assert other.mean == pytest.approx(one.mean, abs=1e-12)
     assert other.floor == pytest.approx(one.floor, rel=1e-9)
     assert misfit(other) == pytest.approx(misfit(one), rel=1e-6)
+
+
+def test_what_is_derived_from_evidence_rolls_out_as_widely_as_it_does(recorded: list[Play]) -> None:
+    model, calls = start().with_values(TRUTH), []
+
+    def spread(alone: Residuals) -> Residuals:
+        def elsewhere(table: np.ndarray) -> np.ndarray:
+            calls.append(len(table))
+            return alone(table)
+
+        return elsewhere
+
+    seen = [play_evidence(model, p, SIGNALS) for p in recorded]
+    evidence = Evidence(model, FREE, seen, SIGNALS, 0.005, 1, spread)
+    truth = np.array([list(TRUTH.values())] * 2)
+    here = evidence(truth)
+    others = (evidence.less(0.0 * here[0]), evidence.of(model), evidence.started([{}, {}]), evidence.finer())
+    for number, other in enumerate(others, start=1):
+        assert other.nthread == 1
+        there = other(truth)
+        assert len(calls) == number + 1, "it was rolled out on this machine alone"
+        assert np.array_equal(there, here) or number == len(others)
+    sent = others[0].__getstate__()
+    assert (sent["nthread"], sent["spread"]) == (0, None)  # a worker has its own cores, and shares with nobody
 
 
 def test_a_command_that_was_recorded_is_known_as_such(recorded: list[Play]) -> None:

@@ -139,6 +139,7 @@ class Evidence:
     def _again(self) -> "Evidence":
         """A copy to be changed, which shares what was read from the plays."""
         other = copy(self)
+        other.nthread, other.spread = self.nthread, self.spread  # which no worker elsewhere is given
         other.__dict__.pop("_residuals", None)  # a spread one was sent elsewhere unchanged
         return other
 

@@ -411,16 +411,20 @@ class Search:
         if not jobs:
             return []
         points = np.array([values for _, values in jobs])
-        shifts = self.residuals(points, "exact") - self.residuals(points, "fine")
+        first = self.residuals(points, "exact")
+        shifts = first - self.residuals(points, "fine")
         best: list[Refit] = []
         for share in PASSES:
             at = [(candidates, point) for (candidates, _), point in zip(jobs, points, strict=True)]
             refits = self.refit(at, round(share * rounds), "fine", shifts)
+            if not best:  # a correction that misleads leaves each where it was
+                begun = (replace(r, values=p, held=self._held_at(p)) for r, p in zip(refits, points, strict=True))
+                best = [_with_residuals(r, row) for r, row in zip(begun, first, strict=True)]
             points = np.array([r.values for r in refits])
             shown = self.residuals(points, "exact")
             shifts = shifts + shown - np.array([r.residuals for r in refits])
             exact = [_with_residuals(r, row) for r, row in zip(refits, shown, strict=True)]
-            best = [min(pair, key=lambda r: r.objective) for pair in zip(best or exact, exact, strict=True)]
+            best = [min(pair, key=lambda r: r.objective) for pair in zip(best, exact, strict=True)]
         return best
 
     def as_run(self, refit: Refit) -> Refit:
