@@ -42,9 +42,11 @@ def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str) ->
     assert alone.after.held_out != alone.after.error  # of stretches left out, though no recording was held out
 
 
-def swung(name: str) -> Play:
-    """Three seconds of the bare horn with an effect of typical size, three noisy trials."""
-    rig = load_model("horn").with_effect(name, "horn").with_values({"drive.horn.stiffness": 12.0})
+def swung(*names: str) -> Play:
+    """Three seconds of the bare horn with effects of typical size, three noisy trials."""
+    rig = load_model("horn").with_values({"drive.horn.stiffness": 12.0})
+    for name in names:
+        rig = rig.with_effect(name, "horn")
     time = np.arange(300) * 0.01
     run = simulate(rig, time, 0.5 * np.sin(2 * time**1.5)[:, None]).select(["joint"])
     values = np.repeat(run.values, 3, axis=0)
@@ -111,12 +113,12 @@ def test_the_interval_of_a_named_effect_holds_what_was_hidden() -> None:
 
 
 def test_values_at_their_bounds_are_told() -> None:
-    play = as_play(recorded())
-    added = add_effects(wrong_model(), [play], ["coulomb_friction.x", "command_delay.x"], 1)
+    added = add_effects(load_model("horn"), [swung()], ["coulomb_friction.horn", "command_delay.horn"], 1)
     at = [n for n, v in added.values.items() if v == 0.0 and not n.startswith("drive.")]
     assert at
     assert all(any(text.startswith(f"{n} lies at its bound") for text in added.doubts) for n in at)
-    assert not any(text.startswith("drive.x.back_emf") for text in added.doubts), "it stays as stated"
+    assert added.values["drive.horn.back_emf"] == 0.0
+    assert not any(text.startswith("drive.horn.back_emf") for text in added.doubts), "it stays as stated"
     assert added.doubts[-1] in added.sentences
 
 
