@@ -517,10 +517,8 @@ class Search:
     ) -> list[TrialPoint]:
         """Every start of every candidate on top of each refit, by promised cost, best first.
 
-        On top of refits after the first, candidates with many starts are left out.
-
-        Args:
-            given: (s, k) starts of the one candidate, in place of its own.
+        On top of refits after the first, candidates with many starts are left out. `given` starts (s, k)
+        of the one candidate replace its own.
         """
         points: list[TrialPoint] = []
         for number, refit in enumerate(refits):
