@@ -16,7 +16,7 @@ from eps_tunnel_analysis.calibration.calibrate import (
     judge_rig,
 )
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
-from eps_tunnel_analysis.fit.problem import Objective, by_axis, default_free, free_parameters
+from eps_tunnel_analysis.fit.problem import Objective, by_axis, copied, default_free, free_parameters
 from eps_tunnel_analysis.inputs import hold_out
 from eps_tunnel_analysis.outputs import shown_share
 from eps_tunnel_analysis.simulated import Play
@@ -195,6 +195,13 @@ def test_an_interrupted_fit_keeps_the_best_so_far() -> None:
     assert fit.after <= min(told)
     assert np.isfinite([p.half_width for p in fit.parameters]).all()
     assert "interrupted" in fit.warnings[0]
+
+
+def test_a_copy_works_where_the_objective_does_and_a_worker_on_all_of_its_cores() -> None:
+    objective = Objective(start(), FREE, plays((3.0,)), SIGNALS, nthread=1)
+    other = copied(objective)
+    assert other is not objective and other.__dict__ == objective.__dict__
+    assert objective.__getstate__()["nthread"] == 0
 
 
 def test_a_residual_depends_on_nothing_but_its_own_values() -> None:

@@ -148,9 +148,8 @@ def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Ref
             # Rounding of less than what is left, uniform within a tick, cannot explain it.
             finest = np.sqrt(12.0 * (left - 1.0)) * float(np.median(search.scale[here]))
             search.settle_at(refit)
-            points = search.trial_points([refit], [candidate], every_tick(candidate, largest, finest))[:STARTS_EACH]
-            fitted = tuple(search.library.find(name) for name in refit.effects)
-            jobs += [((*fitted, candidate), point.values) for point in points]
+            tried = search.trial_points([refit], [candidate], every_tick(candidate, largest, finest))
+            jobs += _jobs(search, [refit], tried, 1)
     return search.best_of(jobs, ROUNDS) if jobs else []
 
 

@@ -7,7 +7,6 @@ the shift from the other part is scaled with it. Intervals widen by the largest 
 about as much as the best one.
 """
 
-import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,7 +16,7 @@ from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library,
 from eps_tunnel_analysis.diagnose.evidence import play_evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.intervals import autocorrelation_length
-from eps_tunnel_analysis.fit.problem import Objective, Problem
+from eps_tunnel_analysis.fit.problem import Objective, Problem, copied
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
@@ -74,7 +73,7 @@ def discrepancy(
     model = objective.model.with_values(dict(zip(problem.names, values.tolist(), strict=True)))
     lib = library(model, (), any(s in objective.signals for s in BALL_SIGNALS))
     infos = lib.model.parameters()
-    effects = copy.copy(objective)
+    effects = copied(objective)
     effects.model, effects.free = lib.model, lib.names
 
     def answer(rows: Array) -> Array:
@@ -204,7 +203,7 @@ def start_changes(
     for signal, start in runs.initial.items():
         noise = np.array([_noise_of_mean(play, signal) for play in plays])
         if noise.any():
-            moved = copy.copy(objective)
+            moved = copied(objective)
             moved.rollouts = replace(runs, initial={**runs.initial, signal: start + noise[runs.play]})
             yield np.nan_to_num(problem.fitness.scaled(moved(values))[0] - residuals)
 

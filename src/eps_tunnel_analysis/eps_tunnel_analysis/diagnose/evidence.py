@@ -6,7 +6,6 @@ where each sample was taken. So a verdict depends neither on an analysis grid no
 """
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.diagnose.noise import SignalNoise, signal_noise
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.cluster import Spread
-from eps_tunnel_analysis.fit.problem import Residuals
+from eps_tunnel_analysis.fit.problem import Residuals, copied
 from eps_tunnel_analysis.simulated import Play, axes_at_rest, first_pose, known_values
 from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
 from labyrinth_sim.model import Model
@@ -138,8 +137,7 @@ class Evidence:
 
     def _again(self) -> "Evidence":
         """A copy to be changed, which shares what was read from the plays."""
-        other = copy(self)
-        other.nthread, other.spread = self.nthread, self.spread  # which no worker elsewhere is given
+        other = copied(self)
         other.__dict__.pop("_residuals", None)  # a spread one was sent elsewhere unchanged
         return other
 

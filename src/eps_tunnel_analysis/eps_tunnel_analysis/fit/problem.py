@@ -8,7 +8,7 @@ paper does, and ask for whole batches at once.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ LEAST_MOTION = 1e-4
 """rad; an axis whose command spans less stands still in a play"""
 #: Fitness of a roll-out that diverged: worse than any that did not, yet finite, so that an optimiser can rank it.
 DIVERGED = 1e9
+
+Copied = TypeVar("Copied")
 
 
 def free_parameters(model: Model, patterns: Sequence[str]) -> tuple[str, ...]:
@@ -334,5 +336,15 @@ class Objective:
         return residuals
 
     def __getstate__(self) -> dict[str, Any]:
-        # A worker elsewhere has its own number of cores.
+        # A worker elsewhere has its own number of cores; a copy is no worker, see `copied`.
         return {**self.__dict__, "nthread": 0}
+
+
+def copied(value: Copied) -> Copied:
+    """A shallow copy that works where the value does.
+
+    The standard one would be what a worker elsewhere gets, without the threads and the cluster of the value.
+    """
+    other = object.__new__(type(value))
+    other.__dict__.update(value.__dict__)
+    return other
