@@ -73,6 +73,31 @@ def test_friction_holds_exactly_and_lets_go_at_its_torque():
     assert 0.5 - falls.motor[-1, 0] > 0.05
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(
+    "gradual",
+    [
+        {"friction_form": 1, "smooth_speed": 3e-3},
+        {"friction_form": 2, "bristle": 2e3, "bristle_damping": 5.0},
+        {"friction_form": 3, "bristle": 2e3},
+    ],
+    ids=["tanh", "LuGre", "Dahl"],
+)
+def test_friction_that_sets_in_gradually_moves_coupled_joints_as_sharp_friction_does(axis, gradual):
+    rig = rig_of("two_link_arm", "torque_pd")
+    plan = plan_of(rig, "person", 2.0)
+    bare = {name: replace(sensor, noise=0.0, tick=0.0) for name, sensor in rig.reality.sensors.items()}
+    smooth = replace(rig.reality, sensors=bare)
+    none, sharp, slow = (
+        clean(smooth.with_axis(axis, **{"coulomb": torque} | more), plan)
+        for torque, more in ((0.0, {"friction_form": 0}), (0.4, {"friction_form": 0}), (0.4, gradual))
+    )
+    for joint in range(2):
+        name = rig.positions(joint)[0]
+        moved = np.sqrt(np.mean((sharp[name] - none[name]) ** 2))
+        assert np.sqrt(np.mean((slow[name] - sharp[name]) ** 2)) < 0.25 * moved, name
+
+
 def test_the_physics_imports_nothing_of_the_model():
     found = subprocess.run(
         [sys.executable, "-c",

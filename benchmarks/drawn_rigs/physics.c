@@ -270,6 +270,8 @@ static void step(State *s, double time) {
   for (int a = 0; a < n; a++) {
     next[a] = wm[a] + STEP * mid[a];
     if (yields) next[n + a] = wl[a] + STEP * mid[n + a];
+  }
+  for (int a = 0; a < n; a++) {
     double up, down;
     dry(s, a, time, wm[a], s->torque[a], outside[a], &up, &down);
     int form = (int)of(s, a, FRICTION_FORM);

@@ -77,6 +77,7 @@ GROWS = {
     "kg m^2": (1, -1),
     "kg": (1, -1),
 }
+ROOM = 3.0  # times by which the bounds of a search include a stated value
 STATED = 1e3  # how many times beyond the bounds of the search a value may be stated that grows with an axis's size
 
 
@@ -123,15 +124,16 @@ class Parameter:
         """The same parameter of an axis of this size, in its unit.
 
         Args:
-            stated: value that a person gave; bounds that grow with the axis are widened to three times one outside.
+            stated: value that a model has; bounds that grow with the axis leave room for three times as much, and for
+                a third where they have one sign. The true value may lie to either side of it.
         """
         force, length = GROWS.get(self.unit, (0, 0))
         unit = slide_unit(self.unit) if size.slides and self.fixed != "unit" else self.unit
         grows = not self.fixed and bool(force or (length and size.slides))
         times = float(size.force**force * size.length**length) if grows else 1.0
         low, high = times * self.low, times * self.high
-        if grows and stated is not None and not low <= stated <= high and not self.complaint(size, stated):
-            low, high = min(low, stated / 3.0, 3.0 * stated), max(high, 3.0 * stated, stated / 3.0)
+        if grows and stated is not None and not self.complaint(size, stated):
+            low, high = min(low, stated / ROOM, ROOM * stated), max(high, ROOM * stated, stated / ROOM)
         off = None if self.off is None else times * self.off
         typical, span = times * self.typical, times * self.span
         return replace(self, unit=unit, low=low, high=high, off=off, typical=typical, span=span)

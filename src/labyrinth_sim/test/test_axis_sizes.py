@@ -89,6 +89,12 @@ def test_bounds_of_either_sign_widen_to_their_side() -> None:
     assert (p.sized(HINGE, -30.0).low, p.sized(HINGE, -30.0).high) == (-90.0, 1.0)
 
 
+def test_a_value_stated_near_its_bound_has_room_beyond_it() -> None:
+    damping = PARAMETERS["torque_pd", "damping"]
+    assert damping.sized(HINGE, 19.0).high == pytest.approx(57.0)
+    assert damping.sized(HINGE, 0.2) == damping
+
+
 MJCF = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="0.01" diaginertia="1 1 1"/>
 <joint name="carriage" type="slide" axis="1 0 0"/></body></worldbody>
 <actuator><motor name="carriage" joint="carriage"/></actuator></mujoco>"""
@@ -118,7 +124,7 @@ def test_a_model_of_a_linear_axis_takes_its_values_and_is_searched_about_them(tm
     assert known["drive.x.stiffness"].high == pytest.approx(3 * 1.37e6)
     for name, info in known.items():
         assert info.low <= info.value <= info.high, name
-    assert known["coulomb_friction.x.torque"].high == pytest.approx(35.15)
+    assert known["coulomb_friction.x.torque"].high == pytest.approx(3 * 20.39)
     richer = model.with_effect("direction_viscous_friction", "x").with_effect("constant_torque", "x", {"torque": -3.16})
     assert richer.parameters()["direction_viscous_friction.x.damping"].unit == "N s/m"
     assert abs(richer.values()["direction_viscous_friction.x.damping"]) > 100.0
