@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one axis lacks: single effects, sets of effects, and sets that contain them."""
 
-import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
-from eps_tunnel_analysis.diagnose.candidates import Candidate, every_tick, is_tick, starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import UNREPEATED, Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import (
@@ -25,6 +24,7 @@ from eps_tunnel_analysis.diagnose.search import (
     best_by_set,
 )
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.ticks import tick_points
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
@@ -127,30 +127,9 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
 
 
 def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Refit]:
-    """Ticks of commands on top of refits, where an axis leaves more than `allowed` floors: all that round differently.
-
-    The more ticks a command spans, the narrower is the valley of each: starts a few per cent apart miss fine ones.
-    """
-    evidence, rig = search.evidence, search.library.model.rig
-    jobs: list[Job] = []
-    for axis in rig.axes:
-        own = [evidence.signals.index(m.signal) for m in axis.measured
-               if m.quantity == "position" and m.signal in evidence.signals]  # fmt: skip
-        here = np.isin(search.signal, own)
-        ticks = [c for c in search.library.candidates
-                 if is_tick(c) and c.effect.stage == "command" and c.place == axis.name]  # fmt: skip
-        channel = rig.command_channels.index(axis.command)
-        largest = max(float(np.nanmax(np.abs(c[:, channel]), initial=0.0)) for c in evidence.commands)
-        for refit, candidate in itertools.product(on, ticks if here.any() else ()):
-            left = worst_floors(refit.residuals[here], search.signal[here])
-            if candidate.name in refit.effects or left <= max(allowed, 1.0):
-                continue
-            # Rounding of less than what is left, uniform within a tick, cannot explain it.
-            finest = np.sqrt(12.0 * (left - 1.0)) * float(np.median(search.scale[here]))
-            search.settle_at(refit)
-            tried = search.trial_points([refit], [candidate], every_tick(candidate, largest, finest))
-            jobs += _jobs(search, [refit], tried, 1)
-    return search.best_of(jobs, ROUNDS) if jobs else []
+    """Refits from the best ticks of commands on top of refits, where an axis leaves more than `allowed` floors."""
+    points = tick_points(search, on, allowed)
+    return search.best_of(_jobs(search, on, points, np.inf), ROUNDS) if points else []
 
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:

@@ -23,8 +23,6 @@ TICKS_APART = 1.056  # times the next finer one: the valley of a tick is some 4 
 FINEST_TICK = 0.05  # of the typical one; the coarsest
 COARSEST_TICK = 0.95  # of the largest
 MULTIPLES = 64  # of a known tick
-PART_OF_A_TICK = 0.25  # by which the largest command moves from one of all ticks to the next
-MOST_TICKS = 2000  # of all ticks at most
 BALL_VALUES = 25
 MOST_CROSSED = 2  # values that only shape an effect, of which all combinations are tried
 
@@ -185,7 +183,7 @@ def starts(candidate: Candidate) -> Array:
     if candidate.effect.nameless:  # a table's values act one by one and in proportion
         return np.array([[p.off or 0.0 for p in declared]])
     if is_tick(candidate):  # rounding fits at one value and hardly next to it
-        rows = _roundings(declared)
+        rows = roundings(declared)
         finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
         tried = np.geomspace(finest, coarsest, round(np.log(coarsest / finest) / np.log(TICKS_APART)) + 1)
         if candidate.register > 0.0:  # a register that lacks bits has whole multiples of its tick
@@ -207,22 +205,7 @@ def starts(candidate: Candidate) -> Array:
     return np.unique(np.array(rows), axis=0)
 
 
-def every_tick(candidate: Candidate, largest: float, finest: float) -> Array:
-    """Values (s, k) of a candidate: every tick, the coarsest first, that rounds commands otherwise than the last one.
-
-    A tick q fits commands of up to `largest` only where largest / q, the number of ticks, is right to a part of one.
-    So the ticks are evenly spaced in that number.
-
-    Args:
-        largest, finest: rad; the finest tick is coarser where there would be too many.
-    """
-    fewest, most = largest / (COARSEST_TICK * candidate.declared[0].high), largest / finest
-    count = min(int((most - fewest) / PART_OF_A_TICK) + 1, MOST_TICKS) if most > fewest else 0
-    numbers = fewest + PART_OF_A_TICK * np.arange(count, dtype=np.float64)
-    return _with_ticks(_roundings(candidate.declared), largest / numbers)
-
-
-def _roundings(declared: Sequence[Parameter]) -> list[list[float]]:
+def roundings(declared: Sequence[Parameter]) -> list[list[float]]:
     """Typical values, and the other ways to round: of each value that is off at its lower bound the largest."""
     typical = [p.typical for p in declared]
     return [typical, *([*typical[:k], p.high, *typical[k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low)]

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ticks of a command, where what an axis lacks may be a rounding finer than other starts can tell apart.
+
+A tick of which a command spans many fits only to a part of a per cent, and its misfit has no slope beside that. So
+every tick is tried, by what a loop answers to a small change of its command: to first order its linear response, which
+is seen in the roll-out of the whole command. Only the best ticks are rolled out.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from eps_tunnel_analysis.diagnose.candidates import COARSEST_TICK, Candidate, is_tick, roundings
+from eps_tunnel_analysis.diagnose.rank import worst_floors
+from eps_tunnel_analysis.diagnose.search import Refit, Search, TrialPoint, directions
+from labyrinth_sim.rig import Axis
+from labyrinth_sim.trials import Array
+
+PART_OF_A_TICK = 0.025  # by which the largest command moves from one of all ticks to the next
+MOST_TICKS = 40_000  # of each way to round; the finest are left out
+ROLLED_OUT = 24  # ticks, each the best within APART of a tick
+APART = 0.5
+SHORTEST, LONGEST, LAGS = 0.01, 1.5, 20  # s, ages of a command that a response tells apart, and how many
+SMOOTH = 1e-4  # share of the largest part of a response below which it is left out
+SAMPLES = 600  # compared, evenly spaced over the recordings
+AT_ONCE = 512  # ticks
+
+
+def tick_points(search: Search, on: Sequence[Refit], allowed: float) -> list[TrialPoint]:
+    """The best ticks of commands on top of refits, for axes that leave more than `allowed` floors; best first."""
+    evidence, rig = search.evidence, search.library.model.rig
+    points: list[TrialPoint] = []
+    for axis in rig.axes:
+        own = [evidence.signals.index(m.signal) for m in axis.measured
+               if m.quantity == "position" and m.signal in evidence.signals]  # fmt: skip
+        here = np.isin(search.signal, own)
+        ticks = [c for c in search.library.candidates
+                 if is_tick(c) and c.effect.stage == "command" and c.place == axis.name]  # fmt: skip
+        for (number, refit), candidate in itertools.product(enumerate(on), ticks if here.any() else ()):
+            left = worst_floors(refit.residuals[here], search.signal[here])
+            if candidate.name in refit.effects or left <= max(allowed, 1.0):
+                continue
+            # The error of rounding is uniform within a tick; one that is below the floor does not show.
+            finest = np.sqrt(12.0) * float(np.median(search.scale[here]))
+            search.settle_at(refit)
+            likely = likely_ticks(search, refit, candidate, axis, here, finest)
+            tried = search.trial_points([refit], [candidate], likely)
+            points += [TrialPoint(p.candidate, p.values, p.promised, number) for p in tried]
+    return sorted(points, key=lambda point: point.promised)
+
+
+def likely_ticks(
+    search: Search, refit: Refit, candidate: Candidate, axis: Axis, here: NDArray[np.bool_], finest: float
+) -> Array:
+    """(s, k) values of a candidate: the ticks whose linear response explains most of what a refit leaves.
+
+    Args:
+        here: (R,) samples of the axis's positions.
+        finest: rad, of the ticks.
+    """
+    rows = np.flatnonzero(here)
+    rows = rows[:: max(1, len(rows) // SAMPLES)]
+    answer, commands = command_response(search, refit, axis, rows)
+    compensated = directions(search.changes(refit)[rows])
+    answer -= compensated @ (compensated.T @ answer)
+    left = refit.residuals[rows] - compensated @ (compensated.T @ refit.residuals[rows])
+    largest = float(np.abs(commands).max(initial=0.0))
+    best: list[tuple[float, Array]] = []
+    for row in roundings(candidate.declared):
+        cut = float(row[1]) if len(row) > 1 else 0.0
+        ticks = every_tick(largest, finest, COARSEST_TICK * candidate.declared[0].high)
+        costs = [_costs(answer, left, commands, ticks[i : i + AT_ONCE], cut) for i in range(0, len(ticks), AT_ONCE)]
+        cost = np.concatenate(costs) if costs else np.zeros(0)
+        best += [(float(cost[i]), np.array([ticks[i], *row[1:]])) for i in _apart(cost, largest / ticks)]
+    best.sort(key=lambda pair: pair[0])
+    return np.array([row for _, row in best[:ROLLED_OUT]]).reshape(-1, len(candidate.declared))
+
+
+def every_tick(largest: float, finest: float, coarsest: float) -> Array:
+    """(s,) rad: ticks, the coarsest first, evenly spaced in how many of them a command spans.
+
+    Args:
+        largest: rad, of the command.
+    """
+    fewest, most = largest / coarsest, largest / finest
+    count = min(int((most - fewest) / PART_OF_A_TICK) + 1, MOST_TICKS) if most > fewest > 0.0 else 0
+    return np.asarray(largest / (fewest + PART_OF_A_TICK * np.arange(count, dtype=np.float64)))
+
+
+def command_response(search: Search, refit: Refit, axis: Axis, rows: NDArray[np.int64]) -> tuple[Array, Array]:
+    """(n, c) floors by which each of the samples `rows` (n,) moves per rad of a commanded value, and (c,) these values.
+
+    The response is that of a linear loop: weights of the command by its age, fitted to what the refit's motion does.
+    """
+    evidence, u = search.evidence, search.library.model.rig.command_channels.index(axis.command)
+    given = [np.nan_to_num(c[:, u]) for c in evidence.commands]
+    values = np.unique(np.concatenate(given))
+    moved = evidence.mean[search.used][rows] + refit.residuals[rows] * search.scale[rows]
+    answer = np.zeros((len(rows), len(values)))
+    for block in np.unique(search.blocks[rows]):
+        own = np.flatnonzero(search.blocks[rows] == block)
+        play = int(block) // len(evidence.signals)
+        time, step, command = evidence.time[search.used][rows[own]], evidence.step(play), given[play]
+        seen = np.column_stack([shares @ command for shares in _by_age(time, step, len(command))] + [np.ones(len(own))])
+        weights = np.linalg.lstsq(seen, moved[own], rcond=SMOOTH)[0]
+        ages = _by_age(time, step, len(command))
+        response = sum(
+            (w * shares for w, shares in zip(weights, ages, strict=False)), np.zeros((len(own), len(command)))
+        )
+        which = np.searchsorted(values, command)
+        each = sparse.csr_array((np.ones(len(command)), (np.arange(len(command)), which)), (len(command), len(values)))
+        answer[own] = (response @ each) / search.scale[rows[own], None]
+    return answer, values
+
+
+def _by_age(time: Array, step: float, count: int) -> Iterator[Array]:
+    """For each range of ages (n, K): the share of each step of a command in its mean over these ages before (n,) s.
+
+    Before the first step a command was as in it.
+    """
+
+    def until(edge: float) -> Array:
+        steps = (time - edge) / step
+        held = np.clip(steps[:, None] - np.arange(count), 0.0, 1.0)
+        held[:, 0] += np.minimum(steps, 0.0)
+        return held
+
+    edges = np.concatenate([[0.0], np.geomspace(SHORTEST, LONGEST, LAGS)])
+    for newer, older in itertools.pairwise(edges):
+        yield (until(newer) - until(older)) * step / (older - newer)
+
+
+def _costs(answer: Array, left: Array, commands: Array, ticks: Array, cut: float) -> Array:
+    """(t,) mean squares that each tick leaves."""
+    wrong = ticks * np.round(commands[:, None] / ticks - cut) - commands[:, None]
+    return np.asarray(np.mean((left[:, None] + answer @ wrong) ** 2, axis=0))
+
+
+def _apart(cost: Array, numbers: Array) -> list[int]:
+    """The best ticks, each the best of those that lie within APART of it in how many a command spans."""
+    chosen: list[int] = []
+    for i in np.argsort(cost, kind="stable")[: 100 * ROLLED_OUT]:
+        if len(chosen) == ROLLED_OUT:
+            break
+        if all(abs(numbers[i] - numbers[j]) > APART for j in chosen):
+            chosen.append(int(i))
+    return chosen
