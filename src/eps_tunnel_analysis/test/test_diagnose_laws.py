@@ -155,6 +155,18 @@ def test_a_base_within_the_noise_lacks_nothing() -> None:
     assert probabilities({(): 1.0, ("a.x",): 0.97})[NONE] > 0.9
 
 
+def test_of_a_rig_that_leaves_little_an_effect_is_missing_only_if_it_predicts_more() -> None:
+    """A fit of more values always leaves less; whether it also knows the rest of the motion, it must show."""
+    folds, runs = np.repeat(np.arange(FOLDS), SAMPLES // FOLDS), np.zeros(SAMPLES, dtype=np.int64)
+    noise = smooth_noise(SAMPLES, 3)
+    base, fits = hypothesis((), 1.2 * noise), hypothesis(("a.x",), 0.6 * noise)
+    assert rank(base, [fits], folds, runs, 10).probabilities[NONE] < 0.5
+    found = rank(base, [replace(fits, left_out=1.25 * noise)], folds, runs, 10).probabilities
+    assert found[NONE] > 0.9 and found[UNKNOWN] < 0.1
+    strong = rank(hypothesis((), 5.0 * noise), [replace(fits, left_out=6.0 * noise)], folds, runs, 10)
+    assert strong.probabilities[NONE] < 0.01, "far beyond the noise something is missing in any case"
+
+
 def test_the_gate_lies_between_a_healthy_rig_and_what_shows() -> None:
     """In floors, whatever the settings say: of 1.3 little is missing; 2, of which an effect leaves 1, are no noise."""
     healthy, lacking = (probabilities({(): base, ("a.x",): 1.0})[NONE] for base in (1.3, 2.0))

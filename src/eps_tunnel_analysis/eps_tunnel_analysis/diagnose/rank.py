@@ -329,8 +329,9 @@ def _probabilities(
         others = top + np.log(np.exp(scores - top[:, None]).sum(axis=1))
         none = 1.0 / (1.0 + np.exp(np.clip(others - alone, -700.0, 700.0)))
         return none, shares * (1.0 - none)[:, None], np.zeros_like(none)
-    best = remaining.min(axis=1)
-    gain = np.log(np.maximum(base, 1e-12) / np.maximum(np.minimum(best, curve), 1e-12)) - 2.0 * SETTINGS.width
+    # What is little enough for a healthy rig is missing only as far as it also predicts what it was not fitted to.
+    fitted, predicted = _gain(base, remaining.min(axis=1)), _gain(costs[:, 0], costs[:, 1:].min(axis=1))
+    gain = np.maximum(np.minimum(fitted, predicted), _gain(base, curve)) - 2.0 * SETTINGS.width
     allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     formed = np.maximum(kept * np.maximum(base - 1.0, 0.0)[:, None], np.maximum(level - 1.0, 0.0))
@@ -340,6 +341,11 @@ def _probabilities(
     explained = (1.0 - beyond) * (1.0 - formless)
     named = shares * explained * (1.0 - none)[:, None]
     return none, named, 1.0 - none - named.sum(axis=1)
+
+
+def _gain(before: Array, after: Array) -> Array:
+    """Logarithm of the factor by which a cost falls; 0 where it does not."""
+    return np.asarray(np.log(np.maximum(before, 1e-12) / np.maximum(np.minimum(before, after), 1e-12)))
 
 
 def _surprise(cost: Array) -> Array:
