@@ -112,7 +112,7 @@ def command_response(search: Search, refit: Refit, axis: Axis, rows: NDArray[np.
         )
         which = np.searchsorted(values, command)
         each = sparse.csr_array((np.ones(len(command)), (np.arange(len(command)), which)), (len(command), len(values)))
-        answer[own] = (response @ each) / search.scale[rows[own], None]
+        answer[own] = np.asarray(response @ each) / search.scale[rows[own], None]
     return answer, values
 
 
