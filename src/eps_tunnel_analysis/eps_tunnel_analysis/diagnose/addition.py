@@ -176,7 +176,7 @@ def _fitted(axis: AxisDiagnosis, candidates: Sequence[Candidate]) -> Refit:
     before = best
     for candidate in (c for c in candidates if c.name not in best.effects):
         search.settle_at(best)
-        on = tuple(search.library.find(n) for n in best.effects)
+        on = search.library.of(best.effects)
         points = search.trial_points([best], [candidate])[:STARTS]
         best = search.best_of([((*on, candidate), point.values) for point in points], ROUNDS)[0]
     if best.cost <= MISFITTED * before.cost:

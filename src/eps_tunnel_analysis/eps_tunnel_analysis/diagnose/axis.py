@@ -83,7 +83,7 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
     tried = firm.trial_points([stated], quick)
     refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
     search.evaluations = firm.evaluations
-    return [(tuple(search.library.find(n) for n in r.effects), r.values) for r in refits[:STATED_KEPT]]
+    return [(search.library.of(r.effects), r.values) for r in refits[:STATED_KEPT]]
 
 
 def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], shortlist: float) -> list[Job]:
@@ -101,7 +101,7 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
     jobs: list[Job] = []
     for same in chosen.values():
         for on in list(dict.fromkeys(point.on for point in same))[:POINTS_EACH]:
-            fitted = tuple(search.library.find(name) for name in points[on].effects)
+            fitted = search.library.of(points[on].effects)
             here = [point for point in same if point.on == on]
             many = STARTS_EACH if len(here[0].candidate.parameters) > 1 else 1
             jobs += [((*fitted, point.candidate), point.values) for point in here[:many]]
@@ -118,11 +118,11 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     jobs: list[Job] = []
     for refit in refits[:REBASED] if size else ():
         points = base_starts(search, refit.values, REBASE_STARTS)[1:] + search.beside_stated([refit], ROUNDS)
-        jobs += [(tuple(search.library.find(n) for n in refit.effects), point) for point in points]
+        jobs += [(search.library.of(refit.effects), point) for point in points]
     again = best_by_set([*refits, *(search.best_of(jobs, ROUNDS) if jobs else [])])
     near = [r for r in again[1:] if size and r.cost < NEAR_BEST * again[0].cost]
     beside = [np.concatenate([again[0].values[:size], r.values[size:]]) for r in near]
-    named = [tuple(search.library.find(n) for n in r.effects) for r in near]
+    named = [search.library.of(r.effects) for r in near]
     return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
 
 
@@ -141,7 +141,7 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
     known = {frozenset(r.effects): r.cost for r in tried}
     jobs: list[Job] = []
     for name in best.effects:
-        others = tuple(search.library.find(n) for n in best.effects if n != name)
+        others = search.library.of(n for n in best.effects if n != name)
         effect, registry = search.library.find(name).effect.name, search.library.model.registry
         mistaken = registry.rivals(effect) if effect in registry.effects else ()  # a drive's value has none
         rest = frozenset(other.name for other in others)
@@ -174,7 +174,7 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
                 continue
             start = _contained(search, refit, smaller)
             if start is not None:
-                jobs.append((tuple(search.library.find(n) for n in refit.effects), start))
+                jobs.append((search.library.of(refit.effects), start))
     by_set = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
 
     def misfits(refit: Refit) -> bool:
@@ -191,7 +191,7 @@ def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
     several, single = ([r for r in ordered if (len(r.effects) > 1) == many] for many in (True, False))
     for refit in (*several[:TAKEN_APART], *single[:TAKEN_APART]):
         for name in refit.effects:
-            kept = tuple(search.library.find(n) for n in refit.effects if n != name)
+            kept = search.library.of(n for n in refit.effects if n != name)
             values, columns = refit.values.copy(), search.columns(search.library.find(name))
             values[columns] = search.start[columns]
             if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
@@ -390,7 +390,7 @@ def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     if not (search.levels["fine"].extrapolate and search.refine_at(best.values)):
         return base, list(refits)
     near = [r for r in refits if r.cost < RUNNING * max(best.cost, 1.0)]
-    jobs = [(tuple(search.library.find(n) for n in r.effects), r.values) for r in (base, *near)]
+    jobs = [(search.library.of(r.effects), r.values) for r in (base, *near)]
     again = search.judged(jobs, ROUNDS)
     search.settle_at(again[0])
     judged = {old.effects: replace(new, converged=old.converged) for old, new in zip(near, again[1:], strict=True)}

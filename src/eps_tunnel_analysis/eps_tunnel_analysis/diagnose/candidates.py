@@ -87,6 +87,10 @@ class Library:
                 return candidate
         raise InputError(unknown_name("candidate", name, [c.name for c in self.candidates]))
 
+    def of(self, names: Iterable[str]) -> tuple[Candidate, ...]:
+        """The candidates of these names, in their order."""
+        return tuple(self.find(name) for name in names)
+
 
 def library(model: Model, base: Sequence[str], with_ball: bool = False, only: Iterable[str] | None = None) -> Library:
     """Every effect that can act on the rig and is not in the model yet.

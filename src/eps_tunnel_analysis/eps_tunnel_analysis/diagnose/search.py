@@ -322,7 +322,7 @@ class Search:
         """
         size = len(self.library.base)
         jobs = [
-            (self._candidates(r), np.concatenate([self.start[:size], r.values[size:]]))
+            (self.library.of(r.effects), np.concatenate([self.start[:size], r.values[size:]]))
             for r in refits
             if self.strain(r.values) >= STRAINED
         ]
@@ -396,12 +396,12 @@ class Search:
         late: list[Refit] = []
         for level in ("coarse", "fine"):
             here = [r for r in going if (id(r) in finer) == (level == "fine")]
-            late += self.refit([(self._candidates(r), r.values) for r in here], rounds, level)
+            late += self.refit([(self.library.of(r.effects), r.values) for r in here], rounds, level)
         ordered = best_by_set([*early, *late])
         ordered = best_by_set([*ordered, *self._scanned(ordered[:SHORTLIST])])
         best = ordered[:SHORTLIST]
         near = [r for i, r in enumerate(best) if i < LEAST_JUDGED or r.cost < OUT_OF_REACH * best[0].cost]
-        judged = self.judged([(self._candidates(r), r.values) for r in near], FINE_ROUNDS)
+        judged = self.judged([(self.library.of(r.effects), r.values) for r in near], FINE_ROUNDS)
         return [*best_by_set([*judged, *self._looked_around(judged)]), *ordered[len(near) :]]
 
     def judged(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
@@ -431,7 +431,7 @@ class Search:
         """A refit with its values fitted at the model's own steps, so that they allow for these steps' error."""
         if "own" not in self.levels:
             return refit
-        return self.refit([(self._candidates(refit), refit.values)], OWN_ROUNDS, "own")[0]
+        return self.refit([(self.library.of(refit.effects), refit.values)], OWN_ROUNDS, "own")[0]
 
     def valleys(self, refit: Refit) -> tuple[Refit, ...]:
         """A refit at the model's own steps, and those of the same effects in other valleys of the misfit, best first.
@@ -443,7 +443,9 @@ class Search:
             refits = [self.as_run(refit)]
             if "own" in self.levels:
                 starts = self._along_weakest(refit) + self.beside_stated([refit], VALLEY_ROUNDS, "own")
-                refits += self.refit([(self._candidates(refit), point) for point in starts], VALLEY_ROUNDS, "own")
+                refits += self.refit(
+                    [(self.library.of(refit.effects), point) for point in starts], VALLEY_ROUNDS, "own"
+                )
             self._valleys[key] = tuple(sorted(refits, key=lambda r: r.objective))
         return self._valleys[key]
 
@@ -476,26 +478,23 @@ class Search:
         off = np.mean((finer - np.array([r.residuals for r in refits])) ** 2, axis=1)
         return [bool(o > ROUGH * max(r.cost, 1.0)) for o, r in zip(off, refits, strict=True)]
 
-    def _candidates(self, refit: Refit) -> tuple[Candidate, ...]:
-        return tuple(self.library.find(name) for name in refit.effects)
-
     def _scanned(self, refits: Sequence[Refit]) -> list[Refit]:
         """Refits from the best of values around each one's ticks, whose misfit has no slope to descend."""
         jobs = []
         for refit in refits:
-            for name in (n for c in self._candidates(refit) for n in c.parameters if n.endswith(".tick")):
+            for name in (n for c in self.library.of(refit.effects) for n in c.parameters if n.endswith(".tick")):
                 best, column = refit.values, self._column[name]
                 for reach in (SCANNED, SCANNED / SCAN):
                     scanned = best[column] * np.geomspace(1.0 / (1.0 + reach), 1.0 + reach, SCAN)
                     best, _ = self._best_of_column(best, column, scanned)
-                jobs.append((self._candidates(refit), best))
+                jobs.append((self.library.of(refit.effects), best))
         return self.refit(jobs, FIRST_ROUNDS)
 
     def _looked_around(self, refits: Sequence[Refit]) -> list[Refit]:
         """Refits at the best of values around each one's rough ones, for which the misfit's slope says little."""
         best_refits = []
         for refit in refits:
-            for column in (i for c in self._candidates(refit) if is_rough(c) for i in self.columns(c)):
+            for column in (i for c in self.library.of(refit.effects) if is_rough(c) for i in self.columns(c)):
                 reach = SCANNED * self.spans[column]
                 scanned = refit.values[column] + np.linspace(-reach, reach, SCAN)
                 best, residuals = self._best_of_column(refit.values, column, scanned, "exact")
