@@ -159,12 +159,14 @@ def test_cross_coupling_with_a_belt(model_of: ModelOf, share: float) -> None:
     assert rest["a_load"] == pytest.approx(BELT_RATIO * 0.1 + share * BELT_RATIO * -0.2, abs=1e-4)
 
 
-@checks("dead_band", "e' = e - clip(e, -w, w)")
+@checks("dead_band", "e' = 0 while |e| <= w, else e - (1 - j) w sign(e)")
 @pytest.mark.parametrize("drive", sorted(DRIVES))
-def test_dead_band(model_of: ModelOf, drive: str) -> None:
-    model = model_of("pair", drive).with_effect("dead_band", "a", {"half_width": 0.05})
+@pytest.mark.parametrize(("jump", "left"), [(0.0, [0.01, 0.15]), (1.0, [0.06, 0.2]), (0.4, [0.03, 0.17])])
+def test_dead_band(model_of: ModelOf, drive: str, jump: float, left: list[float]) -> None:
+    model = model_of("pair", drive).with_effect("dead_band", "a", {"half_width": 0.05, "jump": jump})
+    near, far = left
     errors = np.array([0.0, 0.04, 0.06, 0.2, -0.04, -0.2])
-    assert torques(model, errors) == pytest.approx(4.0 * np.array([0.0, 0.0, 0.01, 0.15, 0.0, -0.15]), abs=1e-9)
+    assert torques(model, errors) == pytest.approx(4.0 * np.array([0.0, 0.0, near, far, 0.0, -far]), abs=1e-9)
 
 
 @checks("torque_saturation", "|torque| <= s torque_max; of a drive that knows no current, |duty| <= s")
