@@ -30,6 +30,7 @@ from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import Job, Refit, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.ticks import command_response
 from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
 from labyrinth_sim.model import Model
@@ -445,6 +446,26 @@ def test_an_effect_of_several_values_is_fitted_from_several_of_its_own(recorded:
     from_where = {c.name: [tuple(v[search.columns(c)]) for (o,), v in fitted if o is c] for (c,), _ in fitted}
     assert len(from_where["gravity_load.x"]) == 1
     assert len(set(from_where["stribeck_friction.x"])) == 3
+
+
+def test_the_linear_response_to_a_rounded_command_is_nearly_what_a_roll_out_shows() -> None:
+    levels = np.radians(np.random.default_rng(2).uniform(-10.0, 10.0, 30))
+    targets = np.repeat(np.append(0.0, levels[1:]), 15)
+    model = start().with_values(TRUTH)
+    trials = [Play("levels", made_by(model, np.column_stack([targets, 0.0 * targets])))]
+    part = next(p for p in axis_parts(model, trials) if p.name == "x")
+    search = axis_search(model, trials, part, SearchOptions(("command_quantisation",), 1))
+    base = search.refit([((), search.start)], 0)[0]
+    axis = model.rig.axes[0]
+    names = [m.signal for m in axis.measured if m.quantity == "position"]
+    rows = np.flatnonzero(np.isin(search.signal, [search.evidence.signals.index(n) for n in names]))
+    answer, commands = command_response(search, base, axis, rows)
+    for tick, cut in ((0.02, 0.0), (0.03, 0.5)):
+        rounded = search.start.copy()
+        rounded[search.columns(search.library.candidates[0])] = (tick, cut)
+        change = (search.residuals(rounded[None])[0] - search.residuals(search.start[None])[0])[rows]
+        linear = answer @ (tick * np.round(commands / tick - cut) - commands)
+        assert np.sqrt(np.mean((linear - change) ** 2)) < 0.3 * np.sqrt(np.mean(change**2))
 
 
 def test_a_tick_of_which_a_command_spans_many_is_found_where_other_starts_miss_it() -> None:
