@@ -108,7 +108,7 @@ def command_response(search: Search, refit: Refit, axis: Axis, rows: NDArray[np.
         weights = np.linalg.lstsq(seen, moved[own], rcond=SMOOTH)[0]
         ages = _by_age(time, step, len(command))
         response = sum(
-            (w * shares for w, shares in zip(weights, ages, strict=False)), np.zeros((len(own), len(command)))
+            (w * shares for w, shares in zip(weights[:-1], ages, strict=True)), np.zeros((len(own), len(command)))
         )
         which = np.searchsorted(values, command)
         each = sparse.csr_array((np.ones(len(command)), (np.arange(len(command)), which)), (len(command), len(values)))
