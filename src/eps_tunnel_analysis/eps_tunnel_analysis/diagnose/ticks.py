@@ -21,12 +21,12 @@ from labyrinth_sim.trials import Array
 
 PART_OF_A_TICK = 0.025  # by which the largest command moves from one of all ticks to the next
 MOST_TICKS = 40_000  # of each way to round; the finest are left out
-ROLLED_OUT = 24  # ticks, each the best within APART of a tick
-APART = 0.5
-SHORTEST, LONGEST, LAGS = 0.01, 1.5, 20  # s, ages of a command that a response tells apart, and how many
-SMOOTH = 1e-4  # share of the largest part of a response below which it is left out
-SAMPLES = 600  # compared, evenly spaced over the recordings
-AT_ONCE = 512  # ticks
+ROLLED_OUT = 24  # ticks, each the best of its valley
+SAME_VALLEY = 0.5  # of a tick, in how many a command spans
+YOUNGEST, OLDEST, LAGS = 0.01, 1.5, 20  # s, ages of a command that a response tells apart, and how many
+LEAST_WEIGHT = 1e-4  # share of the largest part of a response below which it is left out
+SAMPLES_COMPARED = 600  # compared, evenly spaced over the recordings
+TICKS_AT_ONCE = 512  # ticks
 
 
 def tick_points(search: Search, on: Sequence[Refit], allowed: float) -> list[TrialPoint]:
@@ -62,7 +62,7 @@ def likely_ticks(
         finest: rad, of the ticks.
     """
     rows = np.flatnonzero(here)
-    rows = rows[:: max(1, len(rows) // SAMPLES)]
+    rows = rows[:: max(1, len(rows) // SAMPLES_COMPARED)]
     answer, commands = command_response(search, refit, axis, rows)
     compensated = directions(search.changes(refit)[rows])
     answer -= compensated @ (compensated.T @ answer)
@@ -72,7 +72,10 @@ def likely_ticks(
     for row in roundings(candidate.declared):
         cut = float(row[1]) if len(row) > 1 else 0.0
         ticks = every_tick(largest, finest, COARSEST_TICK * candidate.declared[0].high)
-        costs = [_costs(answer, left, commands, ticks[i : i + AT_ONCE], cut) for i in range(0, len(ticks), AT_ONCE)]
+        costs = [
+            _costs(answer, left, commands, ticks[i : i + TICKS_AT_ONCE], cut)
+            for i in range(0, len(ticks), TICKS_AT_ONCE)
+        ]
         cost = np.concatenate(costs) if costs else np.zeros(0)
         best += [(float(cost[i]), np.array([ticks[i], *row[1:]])) for i in _apart(cost, largest / ticks)]
     best.sort(key=lambda pair: pair[0])
@@ -105,7 +108,7 @@ def command_response(search: Search, refit: Refit, axis: Axis, rows: NDArray[np.
         play = int(block) // len(evidence.signals)
         time, step, command = evidence.time[search.used][rows[own]], evidence.step(play), given[play]
         seen = np.column_stack([shares @ command for shares in _by_age(time, step, len(command))] + [np.ones(len(own))])
-        weights = np.linalg.lstsq(seen, moved[own], rcond=SMOOTH)[0]
+        weights = np.linalg.lstsq(seen, moved[own], rcond=LEAST_WEIGHT)[0]
         ages = _by_age(time, step, len(command))
         response = sum(
             (w * shares for w, shares in zip(weights[:-1], ages, strict=True)), np.zeros((len(own), len(command)))
@@ -128,7 +131,7 @@ def _by_age(time: Array, step: float, count: int) -> Iterator[Array]:
         held[:, 0] += np.minimum(steps, 0.0)
         return held
 
-    edges = np.concatenate([[0.0], np.geomspace(SHORTEST, LONGEST, LAGS)])
+    edges = np.concatenate([[0.0], np.geomspace(YOUNGEST, OLDEST, LAGS)])
     for newer, older in itertools.pairwise(edges):
         yield (until(newer) - until(older)) * step / (older - newer)
 
@@ -140,11 +143,11 @@ def _costs(answer: Array, left: Array, commands: Array, ticks: Array, cut: float
 
 
 def _apart(cost: Array, numbers: Array) -> list[int]:
-    """The best ticks, each the best of those that lie within APART of it in how many a command spans."""
+    """The best ticks, each the best of those that lie within SAME_VALLEY of it in how many a command spans."""
     chosen: list[int] = []
     for i in np.argsort(cost, kind="stable")[: 100 * ROLLED_OUT]:
         if len(chosen) == ROLLED_OUT:
             break
-        if all(abs(numbers[i] - numbers[j]) > APART for j in chosen):
+        if all(abs(numbers[i] - numbers[j]) > SAME_VALLEY for j in chosen):
             chosen.append(int(i))
     return chosen
