@@ -457,8 +457,7 @@ def test_the_linear_response_to_a_rounded_command_is_nearly_what_a_roll_out_show
     search = axis_search(model, trials, part, SearchOptions(("command_quantisation",), 1))
     base = search.refit([((), search.start)], 0)[0]
     axis = model.rig.axes[0]
-    names = [m.signal for m in axis.measured if m.quantity == "position"]
-    rows = np.flatnonzero(np.isin(search.signal, [search.evidence.signals.index(n) for n in names]))
+    rows = np.flatnonzero(np.isin(search.signal, [search.evidence.signals.index(n) for n in axis.positions]))
     answer, commands = command_response(search, base, axis, rows)
     for tick, cut in ((0.02, 0.0), (0.03, 0.5)):
         rounded = search.start.copy()

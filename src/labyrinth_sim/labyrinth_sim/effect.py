@@ -132,8 +132,10 @@ class Parameter:
         grows = not self.fixed and bool(force or (length and size.slides))
         times = float(size.force**force * size.length**length) if grows else 1.0
         low, high = times * self.low, times * self.high
-        if grows and stated is not None and not self.complaint(size, stated):
-            low, high = min(low, stated / ROOM, ROOM * stated), max(high, ROOM * stated, stated / ROOM)
+        if grows and stated is not None:
+            wider = min(low, stated / ROOM, ROOM * stated), max(high, ROOM * stated, stated / ROOM)
+            if wider != (low, high) and not self.complaint(size, stated):
+                low, high = wider
         off = None if self.off is None else times * self.off
         typical, span = times * self.typical, times * self.span
         return replace(self, unit=unit, low=low, high=high, off=off, typical=typical, span=span)

@@ -160,11 +160,11 @@ def test_cross_coupling_with_a_belt(model_of: ModelOf, share: float) -> None:
 
 
 @checks("dead_band", "e' = 0 while |e| <= w, else e - (1 - j) w sign(e)")
-@pytest.mark.parametrize(("jump", "left"), [(0.0, (0.04, 0.6)), (1.0, (0.24, 0.8)), (0.4, (0.12, 0.68))])
+@pytest.mark.parametrize(("jump", "near", "far"), [(0.0, 0.04, 0.6), (1.0, 0.24, 0.8), (0.4, 0.12, 0.68)])
 @pytest.mark.parametrize("drive", sorted(DRIVES))
-def test_dead_band(model_of: ModelOf, drive: str, jump: float, left: tuple[float, float]) -> None:
+def test_dead_band(model_of: ModelOf, drive: str, jump: float, near: float, far: float) -> None:
     model = model_of("pair", drive).with_effect("dead_band", "a", {"half_width": 0.05, "jump": jump})
-    assert torques(model, [0.0, 0.04, -0.04, 0.06, 0.2]) == pytest.approx([0.0, 0.0, 0.0, *left], abs=1e-9)
+    assert torques(model, [0.0, 0.04, -0.04, 0.06, 0.2, -0.2]) == pytest.approx([0, 0, 0, near, far, -far], abs=1e-9)
 
 
 @checks("torque_saturation", "|torque| <= s torque_max; of a drive that knows no current, |duty| <= s")

@@ -498,4 +498,4 @@ def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:
 
 
 def _positions(model: Model, part: AxisPart) -> list[str]:
-    return [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
+    return [signal for signal in model.rig.positions if signal in part.signals]

@@ -208,14 +208,10 @@ def _harshest(axis: AxisDiagnosis, values: Array) -> float:
         played = simulate_batch(
             evidence.model, evidence.free, values[None], time, evidence.commands[number][None], {},
             per_command={name: given[[number]] for name, given in evidence.known.items()},
-            signals=_positions(evidence.model), timestep=STEP, nthread=evidence.nthread,
+            signals=evidence.model.rig.positions, timestep=STEP, nthread=evidence.nthread,
         )  # fmt: skip
         jerks.append(harshness(played.values[0, 0], time, 3))
     return max(jerks)
-
-
-def _positions(model: Model) -> tuple[str, ...]:
-    return tuple(m.signal for m in model.rig.measured if m.quantity == "position")
 
 
 def harshness(angles: Array, time: Array, order: int) -> float:
@@ -260,7 +256,7 @@ def _answers(
     time, targets = command.sample(RATE)
     table = np.vstack([r.points for r in rivals])
     model = search.library.model
-    positions = _positions(model)
+    positions = model.rig.positions
     every = (*signals, *(name for name in positions if name not in signals))
     result = simulate_batch(
         model, search.library.names, table, time, targets[None], {}, signals=every, timestep=STEP,
@@ -268,7 +264,7 @@ def _answers(
     )  # fmt: skip
     angles = result.values[0, 0][:, [every.index(name) for name in positions]]
     moved_axis = model.rig.axis(name)
-    moved = result.values[:, 0][:, :, [every.index(m.signal) for m in moved_axis.measured if m.quantity == "position"]]
+    moved = result.values[:, 0][:, :, [every.index(signal) for signal in moved_axis.positions]]
     low, high = (STOP * limit for limit in moved_axis.limits)
     stopped = bool(np.nanmin(moved) < low or np.nanmax(moved) > high)
     harsh = Harsh(harshness(angles, time, 2), harshness(angles, time, 3) <= known, stopped)

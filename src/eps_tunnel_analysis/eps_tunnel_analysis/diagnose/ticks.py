@@ -8,6 +8,7 @@ is seen in the roll-out of the whole command. Only the best ticks are rolled out
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from scipy import sparse
 from eps_tunnel_analysis.diagnose.candidates import COARSEST_TICK, Candidate, is_tick, roundings
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import Refit, Search, TrialPoint, directions
-from labyrinth_sim.rig import Axis
+from labyrinth_sim.rig import Axis, Rig
+from labyrinth_sim.site import axis_site
 from labyrinth_sim.trials import Array
 
 PART_OF_A_TICK = 0.025  # by which the largest command moves from one of all ticks to the next
@@ -25,7 +27,7 @@ ROLLED_OUT = 24  # ticks, each the best of its valley
 SAME_VALLEY = 0.5  # of a tick, in how many a command spans
 YOUNGEST, OLDEST, LAGS = 0.01, 1.5, 20  # s, ages of a command that a response tells apart, and how many
 LEAST_WEIGHT = 1e-4  # share of the largest part of a response below which it is left out
-SAMPLES_COMPARED = 600  # compared, evenly spaced over the recordings
+SAMPLES_COMPARED = 600  # evenly spaced over the recordings
 TICKS_AT_ONCE = 512  # ticks
 
 
@@ -34,21 +36,20 @@ def tick_points(search: Search, on: Sequence[Refit], allowed: float) -> list[Tri
     evidence, rig = search.evidence, search.library.model.rig
     points: list[TrialPoint] = []
     for axis in rig.axes:
-        own = [evidence.signals.index(m.signal) for m in axis.measured
-               if m.quantity == "position" and m.signal in evidence.signals]  # fmt: skip
+        own = [evidence.signals.index(signal) for signal in axis.positions if signal in evidence.signals]
         here = np.isin(search.signal, own)
         ticks = [c for c in search.library.candidates
                  if is_tick(c) and c.effect.stage == "command" and c.place == axis.name]  # fmt: skip
         for (number, refit), candidate in itertools.product(enumerate(on), ticks if here.any() else ()):
             left = worst_floors(refit.residuals[here], search.signal[here])
-            if candidate.name in refit.effects or left <= max(allowed, 1.0):
+            if candidate.name in refit.effects or left <= allowed:
                 continue
             # The error of rounding is uniform within a tick; one that is below the floor does not show.
             finest = np.sqrt(12.0) * float(np.median(search.scale[here]))
             search.settle_at(refit)
             likely = likely_ticks(search, refit, candidate, axis, here, finest)
             tried = search.trial_points([refit], [candidate], likely)
-            points += [TrialPoint(p.candidate, p.values, p.promised, number) for p in tried]
+            points += [replace(point, on=number) for point in tried]
     return sorted(points, key=lambda point: point.promised)
 
 
@@ -68,15 +69,14 @@ def likely_ticks(
     answer -= compensated @ (compensated.T @ answer)
     left = refit.residuals[rows] - compensated @ (compensated.T @ refit.residuals[rows])
     largest = float(np.abs(commands).max(initial=0.0))
+    ticks = every_tick(largest, finest, COARSEST_TICK * candidate.declared[0].high)
     best: list[tuple[float, Array]] = []
     for row in roundings(candidate.declared):
-        cut = float(row[1]) if len(row) > 1 else 0.0
-        ticks = every_tick(largest, finest, COARSEST_TICK * candidate.declared[0].high)
-        costs = [
-            _costs(answer, left, commands, ticks[i : i + TICKS_AT_ONCE], cut)
-            for i in range(0, len(ticks), TICKS_AT_ONCE)
-        ]
-        cost = np.concatenate(costs) if costs else np.zeros(0)
+        cost = np.zeros(len(ticks))
+        for low in range(0, len(ticks), TICKS_AT_ONCE):
+            part = slice(low, low + TICKS_AT_ONCE)
+            wrong = _rounded(candidate, axis, search.library.model.rig, ticks[part], row, commands) - commands
+            cost[part] = np.mean((left + wrong @ answer.T) ** 2, axis=1)
         best += [(float(cost[i]), np.array([ticks[i], *row[1:]])) for i in _apart(cost, largest / ticks)]
     best.sort(key=lambda pair: pair[0])
     return np.array([row for _, row in best[:ROLLED_OUT]]).reshape(-1, len(candidate.declared))
@@ -109,7 +109,7 @@ def command_response(search: Search, refit: Refit, axis: Axis, rows: NDArray[np.
         time, step, command = evidence.time[search.used][rows[own]], evidence.step(play), given[play]
         seen = np.column_stack([shares @ command for shares in _by_age(time, step, len(command))] + [np.ones(len(own))])
         weights = np.linalg.lstsq(seen, moved[own], rcond=LEAST_WEIGHT)[0]
-        ages = _by_age(time, step, len(command))
+        ages = _by_age(time, step, len(command))  # anew, because all at once are large
         response = sum(
             (w * shares for w, shares in zip(weights[:-1], ages, strict=True)), np.zeros((len(own), len(command)))
         )
@@ -136,10 +136,15 @@ def _by_age(time: Array, step: float, count: int) -> Iterator[Array]:
         yield (until(newer) - until(older)) * step / (older - newer)
 
 
-def _costs(answer: Array, left: Array, commands: Array, ticks: Array, cut: float) -> Array:
-    """(t,) mean squares that each tick leaves."""
-    wrong = ticks * np.round(commands[:, None] / ticks - cut) - commands[:, None]
-    return np.asarray(np.mean((left[:, None] + answer @ wrong) ** 2, axis=0))
+def _rounded(candidate: Candidate, axis: Axis, rig: Rig, ticks: Array, row: Sequence[float], commands: Array) -> Array:
+    """(t, c) what the effect makes of each command (c,) with each tick (t,) and the other values of a row (k,)."""
+    values = {p.name: np.full(len(ticks), value) for p, value in zip(candidate.declared, row, strict=True)}
+    values[candidate.declared[0].name] = ticks
+    site = axis_site(rig, rig.command_channels.index(axis.command))
+    own = np.tile(commands, (len(ticks), 1))
+    made = candidate.effect.command
+    rounds = made(values, site, 0.0, own[:, 0]) if made else None  # it has no memory, so no time passes
+    return own if rounds is None else rounds(own, own[..., None])
 
 
 def _apart(cost: Array, numbers: Array) -> list[int]:

@@ -222,7 +222,7 @@ def seen_mark(model: Model, effect: Effect, place: str, play: Play) -> str:
     except InputError:
         return ""
     column = without.index(signal)
-    others = [m.signal for a in rig.axes if a is not axis for m in a.measured if m.quantity == "position"]
+    others = [signal for a in rig.axes if a is not axis for signal in a.positions]
     other = without.values[0, :, without.index(others[0])] if others else np.zeros(len(trials.time))
     command = np.nan_to_num(without.commands[0][:, rig.command_channels.index(axis.command)])
     pair = Pair(trials.step, command, without.values[0, :, column], seen.values[0, :, column], other)

@@ -290,7 +290,7 @@ def propose(
     if missing.worst <= SETTINGS.healthy:
         return Proposal(part.name, part.name, missing, Depends((), 0.0), nothing)
     design = Design.of(missing)
-    positions = [m.signal for m in model.rig.measured if m.quantity == "position" and m.signal in part.signals]
+    positions = [signal for signal in model.rig.positions if signal in part.signals]
     dependence = depends(design, positions, seed, ratios(model.rig, part.name))
     first, motions = dependence.first, [p.motion for p in design.plays]
     shows = visit(model, part.name, first or dependence.dependences[0], motions)

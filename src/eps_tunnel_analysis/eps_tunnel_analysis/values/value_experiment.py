@@ -203,7 +203,7 @@ def _pieces(
 ) -> tuple[tuple[str, ...], list[Shape]]:  # fmt: skip
     """Parts of the menu's commands that one axis goes through, and their shapes one after another."""
     channel = model.rig.command_channels.index(axis.command)
-    measured = [m.signal for m in axis.measured if m.quantity == "position" and m.signal in noise]
+    measured = [signal for signal in axis.positions if signal in noise]
     low, high = (STOP * limit for limit in axis.limits) if axis.limits else (-math.inf, math.inf)
     offers: list[tuple[str, list[Shape], Array]] = []
     for name, command in menu(model, axis.name).items():
