@@ -8,7 +8,7 @@ from pathlib import Path as File
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import least_squares, lsq_linear
 
 from drawn_rigs.commands import SHARES, STYLES
 from drawn_rigs.effects import CONTAINED_BY, Form, forms_of
@@ -30,6 +30,11 @@ SECANTS = 2
 REFITS = 8  # rounds in which other values of the drive make up for what is hidden, as far as they can
 SHORTER = (1.0, 0.5, 0.25, 0.1)  # of a round's step, the first that helps
 FARTHEST = 0.8  # of a value that a refit may move freely, per round
+TRUST_ROUNDS = 25  # of the trust region
+ROUNDS = 0.002  # s, a multiple of every firmware's round
+LOG_SHIFT = 0.02  # by which the slope of a logarithm is taken
+LOG_FARTHEST = 7.0  # that it may move
+FAR = 1e6  # floors, where a roll-out diverges
 SETTLED = 0.25  # s from a trial's start that do not count: a model starts where the sensors say
 REPLICAS = 4  # trials from which the noise floor is taken
 TOLERANCE = 5e-4  # share of a motion that does not matter, as docs/diagnosis.md says
@@ -305,12 +310,24 @@ def calibrated(
 def _refitted(
     rig: Rig, before: Reality, changed: Reality, plan: Plan, floors: dict[str, float], axis: int, most: float
 ) -> float:
-    """How a reality differs from another one whose loose values are fitted to it, by Gauss-Newton in whole roll-outs.
+    """How a reality differs from another one whose loose values are fitted to it in whole roll-outs.
 
     Slopes at the true values alone exaggerate: a drive that a large effect moves far can compensate for more of it.
+    Two searches, as either may stop too early: Gauss-Newton with bounded steps, and a trust region in which values
+    that are free and positive move as logarithms. The smallest difference on their way counts.
     """
-    shown, fitted = _stacked(clean(changed, plan), floors, plan), before
-    least, apart = most, _stacked(clean(before, plan), floors, plan) - shown
+    shown = _stacked(clean(changed, plan), floors, plan)
+    return min(
+        _by_bounded_steps(rig, before, shown, plan, floors, axis, most),
+        _by_trust_region(rig, before, shown, plan, floors, axis, most),
+    )
+
+
+def _by_bounded_steps(
+    rig: Rig, before: Reality, shown: Array, plan: Plan, floors: dict[str, float], axis: int, most: float
+) -> float:
+    fitted, least = before, most
+    apart = _stacked(clean(before, plan), floors, plan) - shown
     cost = float(apart @ apart)
     for _ in range(REFITS):
         slopes, low, high, loose = _slopes(rig, fitted, plan, floors, apart + shown, axis)
@@ -332,6 +349,46 @@ def _refitted(
         least = min(least, _size(apart, floors))
         if gained < 0.02 * cost:
             break
+    return least
+
+
+def _by_trust_region(
+    rig: Rig, before: Reality, shown: Array, plan: Plan, floors: dict[str, float], axis: int, most: float
+) -> float:
+    values = [loose for loose in rig.loose if loose.axis == axis or rig.kind == "two_link_arm"]
+    own = np.array([_value(before, loose) for loose in values])
+    true = np.array([_value(rig.reality, loose) for loose in values])
+    free = np.array([not np.isfinite(loose.low) and value > 0 for loose, value in zip(values, own, strict=True)])
+    scale = np.array([loose.step for loose in values])
+    # A delay is moved by whole rounds of the firmware: it waits for the next one anyway.
+    shift = np.array([ROUNDS if loose.name == "delay" else loose.step for loose in values]) / scale
+    shift[free] = LOG_SHIFT
+    low = (np.array([max(loose.low + value, 0.0) for loose, value in zip(values, true, strict=True)]) - own) / scale
+    high = (np.array([loose.high + value for loose, value in zip(values, true, strict=True)]) - own) / scale
+    low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
+    low[free], high[free] = -LOG_FARTHEST, LOG_FARTHEST
+    least = most
+
+    def apart(moved: Array) -> Array:
+        nonlocal least
+        reality = before
+        for loose, value in zip(values, np.where(free, own * np.exp(moved), own + scale * moved), strict=True):
+            reality = _with(reality, loose, float(value))
+        try:
+            rest = _stacked(clean(reality, plan), floors, plan) - shown
+        except DivergedError:
+            return np.full(len(shown), FAR)
+        least = min(least, _size(rest, floors))
+        return rest
+
+    def slopes(moved: Array) -> Array:
+        here = apart(moved)
+        ways = np.where(moved + shift > high, -shift, shift)
+        columns = [(apart(moved + way * unit) - here) / way for way, unit in zip(ways, np.eye(len(ways)), strict=True)]
+        return np.column_stack(columns)
+
+    least_squares(apart, np.zeros(len(values)), jac=slopes, bounds=(low, high), x_scale="jac", max_nfev=TRUST_ROUNDS,
+                  ftol=1e-3)  # fmt: skip
     return least
 
 
