@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from labyrinth_hw.devices import default_link_dir
-from reference_page import messages, nodes
+from reference_page import messages, nodes, thresholds
 from reference_page.command_lines import eps_tunnel_section, executable_section
 from reference_page.tables import code, table
 from ros2_standin.launch import DeclareLaunchArgument, description_of
@@ -30,7 +30,7 @@ def page() -> str:
         for name, file in nodes.executables(package).items():
             parts.append(nodes.section(package, name, file))
     parts += ["## Launch files\n", *(launch_section(*key, given) for key, given in launch_files().items())]
-    parts.append(messages.section())
+    parts += [messages.section(), thresholds.section()]
     return "\n".join(part for part in parts if part).rstrip() + "\n"
 
 

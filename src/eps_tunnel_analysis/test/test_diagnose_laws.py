@@ -363,7 +363,7 @@ def honest(jacobian: np.ndarray, data: np.ndarray, folds: np.ndarray, kept: floa
 
 
 def test_what_is_left_out_in_full_is_what_an_honest_refit_without_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rank_module, "KEPT", 0.0)
+    monkeypatch.setattr(rank_module, "SETTINGS", replace(SETTINGS, kept=0.0))
     jacobian, folds, answers = linear(0)
     data = answers + np.random.default_rng(1).standard_normal(len(answers))
     residuals = refitted(jacobian, data, np.ones(len(data)))
@@ -377,9 +377,9 @@ def test_values_move_twice_as_far_as_in_an_honest_refit_in_which_the_stretch_wei
     jacobian, folds, answers = linear(2)
     data = answers + np.random.default_rng(3).standard_normal(len(answers))
     residuals = refitted(jacobian, data, np.ones(len(data)))
-    half = honest(jacobian, data, folds, rank_module.KEPT)
+    half = honest(jacobian, data, folds, SETTINGS.kept)
     found = left_out(jacobian, residuals, folds, WIDE)
-    assert found - residuals == pytest.approx((half - residuals) / (1.0 - rank_module.KEPT), rel=1e-4, abs=1e-6)
+    assert found - residuals == pytest.approx((half - residuals) / (1.0 - SETTINGS.kept), rel=1e-4, abs=1e-6)
 
 
 def test_what_is_left_out_is_as_far_off_as_the_same_stretches_played_once_more() -> None:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
-from eps_tunnel_analysis.diagnose.rank import UNREPEATED, Hypothesis, Ranking, left_out, rank, worst_floors
+from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import (
     FEW_STARTS,
     SHORTLIST,
-    STRAINED,
     Job,
     Refit,
     Search,
@@ -43,8 +42,6 @@ MOST_EFFECTS = 3  # on one axis
 RIVALS = 4  # of an effect that are refitted in its place
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
-CLOSE = 0.75  # times what counts as healthy; below that no further effect is tried
-WORTHWHILE = 0.2  # share of the misfit beyond noise that an effect must explain before another one is tried
 TAKEN_APART = 3  # best sets of several effects, each of which is also tried without each of its effects
 MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
 
@@ -74,7 +71,7 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
 
     A base whose values have absorbed a missing effect hides which one it is: on top of it no effect explains more.
     """
-    if search.strain(base.values) < STRAINED:
+    if search.strain(base.values) < SETTINGS.strained:
         return []
     firm = search.as_stated()
     start = np.where(search.firmness > 0.0, search.start, base.values)
@@ -352,7 +349,8 @@ def refitted_sets(
     """
     refits: list[Refit] = []
     allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
-    if search.library.candidates and (not floor or worst_floors(base.residuals, search.signal) > CLOSE * allowed):
+    worst = worst_floors(base.residuals, search.signal)
+    if search.library.candidates and (not floor or worst > SETTINGS.close * allowed):
         refits = next_refits(search, [base], more=stated_jobs(search, base))
         # An effect must not be named only because it led to a better start of the base.
         base = better_base(search, base, [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]])
@@ -435,7 +433,8 @@ def _enough(
     Without repeated trials, only a misfit far beyond the sensors' noise shows that more is missing.
     """
     inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-    return (CLOSE if floor else UNREPEATED) * (healthy + SETTINGS.form * max(inexact * base.cost, level))
+    allowed = healthy + SETTINGS.form * max(inexact * base.cost, level)
+    return (SETTINGS.close if floor else SETTINGS.unrepeated) * allowed
 
 
 def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:
@@ -482,7 +481,7 @@ def floor_known(plays: Sequence[Play]) -> bool:
 
 def _explains(before: Refit, after: Refit) -> bool:
     """Whether an added effect explains enough to continue from."""
-    return before.cost - after.cost >= max(SETTINGS.material, WORTHWHILE * (before.cost - 1.0))
+    return before.cost - after.cost >= max(SETTINGS.material, SETTINGS.worthwhile * (before.cost - 1.0))
 
 
 def lowest(refits: Sequence[Refit]) -> Refit:

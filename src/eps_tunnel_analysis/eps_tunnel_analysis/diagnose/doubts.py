@@ -15,16 +15,15 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.ball import sees_ball
 from eps_tunnel_analysis.diagnose.base_values import base_from
 from eps_tunnel_analysis.diagnose.search import directions
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.problem import by_axis
 from eps_tunnel_analysis.outputs import shown_times
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 
-PROMISING = 0.1  # of the misfit, to first order
 REFITTED = 2  # of the promising values, each alone
 FARTHEST_START = 4.0  # times a stated value, at the start of its refit
-TELLING = 0.5  # of the misfit that the best effect leaves; a value that leaves more is not doubted
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def doubts(model: Model, plays: Sequence[Play], axis: AxisDiagnosis, run: Search
             value = min(max(value, info.value / FARTHEST_START), info.value * FARTHEST_START)
         points[:, last] = np.clip([value, 2.0 * info.value, 0.5 * info.value], info.low, info.high)
         refit = base_from(search, list(points))
-        if refit.cost < TELLING * best.cost:
+        if refit.cost < SETTINGS.doubted * best.cost:
             fitted = float(refit.values[last])
             doubted.append(Doubt(name, info.unit, info.source, info.value, fitted, best.cost, refit.cost))
     return sorted(doubted, key=lambda d: d.after)
@@ -121,7 +120,7 @@ def _promising(
                 beyond = float(np.sum((answer - basis @ (basis.T @ answer)) ** 2))
                 gains.append((1.0 - beyond / rest, name, float(point[column])))
     best = {name: (share, name, value) for share, name, value in sorted(gains)}
-    return [(name, value) for share, name, value in sorted(best.values(), reverse=True) if share > PROMISING]
+    return [(name, value) for share, name, value in sorted(best.values(), reverse=True) if share > SETTINGS.promising]
 
 
 def _with(part: AxisPart, held: Sequence[str]) -> AxisPart:

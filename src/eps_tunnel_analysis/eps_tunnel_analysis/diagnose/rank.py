@@ -23,10 +23,6 @@ from labyrinth_sim.trials import Array
 NONE, UNKNOWN = "none", "unknown"
 LEAST = 1e-4  # probabilities below are not listed
 FEWEST = 30  # samples of a signal that is judged by itself
-UNREPEATED = 2.0  # times the healthy number of floors may be left if the rig's repeatability is unknown
-#: Share of a stretch's information on the values that is kept when it is left out, as if it had been played once more.
-#: Otherwise a motion that occurs once in a recording would be predicted by an extrapolation to first order.
-KEPT = 0.5
 ALIKE = 1e-6  # share of a value's influence below which others could do the same, as seen by finite differences
 TINY = 1e-12
 
@@ -142,7 +138,8 @@ def left_out(
     for fold in np.unique(folds):
         here = folds == fold
         own = jacobian[here] * unit
-        change = _within(whole - (1.0 - KEPT) * own.T @ own, own.T @ residuals[here], -room[0] / unit, room[1] / unit)
+        less = whole - (1.0 - SETTINGS.kept) * own.T @ own
+        change = _within(less, own.T @ residuals[here], -room[0] / unit, room[1] / unit)
         predicted[here] = residuals[here] + own @ change
     return predicted
 
@@ -214,7 +211,7 @@ def rank(
         floor,
     )  # fmt: skip
     if not floor:
-        beyond = _soft(np.log(np.maximum(worst[:, 0] * unit, 1e-12) / (UNREPEATED * SETTINGS.healthy)))
+        beyond = _soft(np.log(np.maximum(worst[:, 0] * unit, 1e-12) / (SETTINGS.unrepeated * SETTINGS.healthy)))
         none, unknown = none * (1.0 - beyond), none * beyond
     lacking = SETTINGS.odd if drifts else 0.0
     unknown_total = float(np.mean(unknown)) * (1.0 - lacking) + lacking

@@ -12,13 +12,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
 
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from labyrinth_sim.trials import Array, Trials
 
-TRIALS_OF_A_DRIFT = 4  # trials, for a drift; every third set of three goes one way by chance
-STEADY_SLOPE = 6.0  # slope over its standard error, of a drift
-BEYOND_NOISE = 10.0  # times what the sensors' noise alone would let the trials' means differ by
-SHARE = 0.4  # of the differences between trials, and
-FOLLOWS = 0.6  # correlation with the squared speed, of uneven timing
 SMOOTH = 9  # samples
 OUT_OF_STEP = 12**-0.5  # samples: deviation of an event at a random time within one, as when a loop waits for the next
 
@@ -69,7 +65,7 @@ def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
     mean = values.mean(axis=0)
     offsets = (values - mean).mean(axis=1)
     rest = values - mean - offsets[:, None]
-    drift = _drift(offsets, rest) if len(values) >= TRIALS_OF_A_DRIFT else 0.0
+    drift = _drift(offsets, rest) if len(values) >= SETTINGS.drift_trials else 0.0
     speed = np.gradient(uniform_filter1d(mean, 5), step)
     jitter = _jitter(rest - _whole(rest, speed, step), speed)
     return Repeats(signal, unit, drift, jitter if jitter > step * OUT_OF_STEP else 0.0)
@@ -93,7 +89,8 @@ def _drift(offsets: Array, rest: Array) -> float:
     white = np.sqrt(0.5 * np.mean(np.diff(rest, axis=1) ** 2) / rest.shape[1])
     whole = slope * (len(offsets) - 1)
     one_way = bool(np.all(np.diff(offsets) > 0) or np.all(np.diff(offsets) < 0))
-    return whole if one_way and abs(slope) > STEADY_SLOPE * scatter and abs(whole) > BEYOND_NOISE * white else 0.0
+    plain = abs(slope) > SETTINGS.drift_slope * scatter and abs(whole) > SETTINGS.drift_noise * white
+    return whole if one_way and plain else 0.0
 
 
 def _jitter(rest: Array, speed: Array) -> float:
@@ -106,4 +103,4 @@ def _jitter(rest: Array, speed: Array) -> float:
     smooth = [uniform_filter1d(a, SMOOTH) for a in (spread, squared)]
     follows = np.corrcoef(smooth[0], smooth[1])[0, 1] if all(np.ptp(a) > 0 for a in smooth) else 0.0
     share = slope * squared.mean() / spread.mean()
-    return float(np.sqrt(slope)) if share > SHARE and follows > FOLLOWS else 0.0
+    return float(np.sqrt(slope)) if share > SETTINGS.timing_share and follows > SETTINGS.timing_follows else 0.0

@@ -42,11 +42,6 @@ PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corre
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to fit
 STANDS = 0.1  # floors by which half the step may change an answer that is accurate enough
-UNFELT = 0.02  # floors
-STRAINED = 1.0  # sum of squared deviations from what is stated, above which a base counts as deviating
-FARTHEST = 2.0  # deviations by which a value that is known roughly may be off
-SURELY = 2.0  # deviations by which ticks must agree
-MOST_AGREED = 0.9
 ROUGH = (
     0.2  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
 )
@@ -160,8 +155,8 @@ class Search:
         span = self.spans[base]
         self._spread = SETTINGS.rough * np.where(self.start[base] != 0.0, np.abs(self.start[base]), span)
         # Beyond that it would stand in for an effect; `doubts` reports values that are further off.
-        self.low[base] = np.maximum(self.low[base], self.start[base] - FARTHEST * self._spread)
-        self.high[base] = np.minimum(self.high[base], self.start[base] + FARTHEST * self._spread)
+        self.low[base] = np.maximum(self.low[base], self.start[base] - SETTINGS.farthest * self._spread)
+        self.high[base] = np.minimum(self.high[base], self.start[base] + SETTINGS.farthest * self._spread)
         span = self.spans[base] = (self.high - self.low)[base]
         self.firmness[base] = np.sqrt(SETTINGS.correlated) * span / self._spread
         self.difference = np.full(len(self.start), difference)
@@ -228,7 +223,7 @@ class Search:
             if size.sum() > 0.0:
                 share = along.sum() / size.sum()
                 deviation = float(np.sqrt(np.sum((along - share * size) ** 2))) / size.sum()
-                shares[number] = np.clip(share - SURELY * deviation, 0.0, MOST_AGREED)
+                shares[number] = np.clip(share - SETTINGS.ticks_surely * deviation, 0.0, SETTINGS.ticks_agree)
         return shares
 
     def _by_ticks(self, values: Array) -> Array | None:
@@ -264,7 +259,8 @@ class Search:
             at = own == play
             change = np.column_stack([slope[at] for slope in slopes])
             normal = change.T @ change / less + np.eye(len(joints))
-            by = np.clip(np.linalg.solve(normal, -change.T @ here[at] / less), -FARTHEST, FARTHEST) * noise[play]
+            by = np.linalg.solve(normal, -change.T @ here[at] / less)
+            by = np.clip(by, -SETTINGS.farthest, SETTINGS.farthest) * noise[play]
             shifts.append({name: float(b) for names, b in zip(joints, by, strict=True) for name in names})
         self.levels = {level: evidence.started(shifts) for level, evidence in self.levels.items()}
         self.evidence = self.levels["coarse"]
@@ -283,7 +279,7 @@ class Search:
             points[2 * row : 2 * row + 2, column] += (spread, -spread)
         moved = self.residuals(np.clip(points, self.low, self.high)) - self.residuals(refit.values[None])
         shows = np.nan_to_num(np.mean(moved**2, axis=1), nan=np.inf).reshape(-1, 2).max(axis=1)
-        self._idle[base] = shows < UNFELT
+        self._idle[base] = shows < SETTINGS.unfelt
 
     def refine_at(self, values: Array) -> bool:
         """Halves the steps of the judging levels until the answer at these values (K,) is accurate; whether any was."""
@@ -324,7 +320,7 @@ class Search:
         jobs = [
             (self.library.of(r.effects), np.concatenate([self.start[:size], r.values[size:]]))
             for r in refits
-            if self.strain(r.values) >= STRAINED
+            if self.strain(r.values) >= SETTINGS.strained
         ]
         firm = self.as_stated()
         from_stated = firm.refit(jobs, rounds, level)

@@ -7,13 +7,12 @@ from typing import Any, Literal
 
 from eps_tunnel_analysis.alikeness import Span
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Ranked, smallest_set
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.outputs import plain, shown_number
 from labyrinth_sim.registry import Registry
 from labyrinth_sim.shown import shown
 
 Kind = Literal["complete", "effect", "undecided", "unknown"]
-CLEAR = 0.9  # probability from which one effect on one axis is stated by itself
-WORTH_TELLING = 0.2  # of an axis's misfit
 NAMES = ("Coulomb", "LuGre", "Stribeck")  # in titles, that keep their capitals
 
 
@@ -214,15 +213,15 @@ def sentence(
 def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
     """What is clear about one axis by itself; empty if nothing is."""
     before, _ = verdict.floors
-    clear = [name for name, p in verdict.marginals.items() if p >= CLEAR]
+    clear = [name for name, p in verdict.marginals.items() if p >= SETTINGS.clear]
     if clear:
         share = verdict.explained.get(" + ".join(sorted(clear)), verdict.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
         named = " and ".join(f"{in_words(name, registry)} ({percent(verdict.marginals[name])})" for name in clear)
         return f"{named[0].upper()}{named[1:]} explains {share:.0%} of what the model leaves there."
     most = max(verdict.explained.items(), key=lambda item: item[1][0], default=None)
-    if verdict.unknown > 0.5 and most and most[1][0] >= WORTH_TELLING:
+    if verdict.unknown > 0.5 and most and most[1][0] >= SETTINGS.worth_stating:
         return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {shown_number(before)} floors."
-    if verdict.none >= CLEAR:
+    if verdict.none >= SETTINGS.clear:
         return f"Nothing is missing on {axis}, {shown_number(before, 2)} floors."
     return f"On {axis} {shown_number(before)} floors remain."
 

@@ -19,7 +19,6 @@ RIDGE = 1e-4  # of the mean square of what a column changes
 BENDS = (0.0, 1e-2, 1.0)  # weights tried of a curve's squared curvature, in the same unit
 SURROGATES = 39
 LEAST_SHIFT = 0.7  # s by which a variable is moved at least
-LEVEL = 0.05  # share of healthy rigs that may name a variable
 DRAWS = 400  # of the block bootstrap
 PERIODS = 120  # tried, evenly in the logarithm; a third of them for the level of chance
 MOST_WAVES = 40.0  # within the range visited
@@ -370,7 +369,7 @@ class Dependence:
     Attributes:
         variable: for people; `curve`, `place`: the corresponding free curve.
         share: of the misfit, on stretches left out of the fit; with `interval`, 90 %.
-        chance: the largest share that any variable, moved in time, explained in all but LEVEL of the trials.
+        chance: the largest share that any variable, moved in time, explained in all but `law_level` of the trials.
         named: whether it explains more than chance does, and enough to be worth reporting.
         period: rad of the waves over the angle that explain it better than a smooth function, else None.
         traced: what turns with that period, as the rig file states ratios; "" if nothing does.
@@ -426,7 +425,8 @@ def depends(
     every = variables(design, positions)
     rng = np.random.default_rng(seed)
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
-    chance = float(np.quantile([_by_chance(design, predictor, every, moved) for moved in drawn], 1.0 - LEVEL))
+    by_chance = [_by_chance(design, predictor, every, moved) for moved in drawn]
+    chance = float(np.quantile(by_chance, 1.0 - SETTINGS.law_level))
     explained: list[tuple[Dependence, Explained]] = []
     singly = [predictor.explained(v.columns(design), curve=True) for v in every]
     both = pairs(every, [e.share for e in singly])
@@ -473,11 +473,11 @@ def _by_chance(design: Design, predictor: Predictor, every: Sequence[Variable], 
 
 
 def _better(one: Explained, other: Explained, seed: int) -> bool:
-    """Whether one explains more than another in all but LEVEL of the draws of stretches."""
+    """Whether one explains more than another in all but `law_level` of the draws of stretches."""
     gains = other.stretches[:, 1] - one.stretches[:, 1]
     rng = np.random.default_rng(seed)
     counts = rng.multinomial(len(gains), np.full(len(gains), 1.0 / len(gains)), DRAWS)
-    return bool(np.quantile(counts @ gains, LEVEL) > 0.0)
+    return bool(np.quantile(counts @ gains, SETTINGS.law_level) > 0.0)
 
 
 def _matters(design: Design, share: float, chance: float) -> bool:

@@ -52,11 +52,6 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 ROUNDS = 6
-NEEDS_NO_CURVE = 2.0  # floors on left-out stretches: a formula that leaves no more needs no curve in addition
-AS_GOOD = 1.2  # times the curve's floors on left-out stretches: a formula that leaves no more is preferred
-NO_WORSE = 1.02  # times the least that a formula leaves on left-out stretches: of those within it the shortest is kept
-FALLS = 0.7  # of the base's floors on left-out stretches; what leaves more is not proposed
-CONFIRMED = 0.5  # of what a model leaves of another command beyond noise: a law that holds takes away as much
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,7 @@ class Confirmation:
     @property
     def holds(self) -> bool:
         """Whether it takes away half of what is to be explained."""
-        return self.after <= self.before - CONFIRMED * (self.before - min(self.before, 1.0)) < self.before
+        return self.after <= self.before - SETTINGS.law_confirmed * (self.before - min(self.before, 1.0)) < self.before
 
     @property
     def sentence(self) -> str:
@@ -320,18 +315,18 @@ def propose(
         start = {f"{NAME}.{first.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
         tried.append(_refitted("formula", law, lib, plays, part, run, start))
     best = _best(tried)
-    if best is None or best.refit.held_out > NEEDS_NO_CURVE:
+    if best is None or best.refit.held_out > SETTINGS.law_complete:
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, weights, strict=True)}
         free = _refitted("curve", nothing, lib, plays, part, run, start)
-        if best is None or free.refit.held_out * AS_GOOD < best.refit.held_out:
+        if best is None or free.refit.held_out * SETTINGS.law_as_good < best.refit.held_out:
             best = free if np.isfinite(free.refit.held_out) else best
     bare = replace(bare, tried={_equation(t.law): t.refit.held_out for t in tried})
     if best is None:
         return bare
     base = best.search.refit([((), best.search.start)], ROUNDS, "fine")[0]
     before = hypothesis(best.search, base)
-    if best.refit.held_out > FALLS * before.cost:
+    if best.refit.held_out > SETTINGS.law_falls * before.cost:
         return bare
     text, law = "", best.law
     if best.kind == "formula":
@@ -358,7 +353,7 @@ def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
     if not predicts:
         return None
     least = min(t.refit.held_out for t in predicts)
-    near = [t for t in predicts if t.refit.held_out <= NO_WORSE * least]
+    near = [t for t in predicts if t.refit.held_out <= SETTINGS.law_no_worse * least]
     return min(near, key=lambda t: (t.numbers, t.refit.held_out))
 
 
