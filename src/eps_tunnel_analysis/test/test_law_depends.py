@@ -65,6 +65,31 @@ def test_the_variable_is_named_and_noise_names_none(form: str) -> None:
         assert found.first.traced == "2 waves a turn of the motor"
 
 
+def test_a_constant_is_named_and_a_curve_over_the_angle_still_is() -> None:
+    constant = said(SWINGS, np.full(len(TIME), 0.5))
+    assert constant.first is not None and constant.first.constant and constant.words == "constant force"
+    bent = said(SWINGS, 0.5 + 1.5 * SWINGS**2)
+    assert bent.first is not None and not bent.first.constant and bent.first.curve == "curve_angle"
+
+
+def test_a_constant_error_is_traced_to_its_sensor() -> None:
+    moved = motion(SWINGS, SWINGS)
+    rng = np.random.default_rng(3)
+    signal = np.repeat([0, 1], len(TIME))
+    residuals = NOISE * rng.normal(size=2 * len(TIME)) + 2.0 * signal
+    lag = np.exp(-np.maximum(TIME[:, None] - TIME[None, :], 0.0) / 0.05) * (TIME[:, None] >= TIME[None, :])
+    twice, ones = np.concatenate([TIME, TIME]), np.ones(2 * len(TIME))
+    fold = np.minimum((twice / 0.75).astype(np.int64), 7)
+    play = PlayAnswer(
+        moved, TIME, residuals, np.vstack([5.0 * lag, 5.0 * lag]), np.empty((len(ones), 0)), twice, signal, fold,
+        ones, 0 * ones, ones,
+    )  # fmt: skip
+    missing = MissingForce("a", ("a", "b"), "N m", (play,), 1.0, (float(np.mean(residuals**2)), NOISE**2))
+    found = depends(Design.of(missing), ("a", "b"))
+    assert found.first is not None and found.first.constant and found.first.place == "b"
+    assert found.first.share > 0.9
+
+
 def test_a_product_of_two_variables_is_named_as_a_pair() -> None:
     speed = np.gradient(SWINGS, STEP)
     found = said(SWINGS, np.cos(3.0 * SWINGS) * speed)

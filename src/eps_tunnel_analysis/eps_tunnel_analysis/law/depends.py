@@ -138,6 +138,11 @@ class Predictor:
         self._size = base.shape[1]
         self._without = self._left_out(self._grams, self._rights)[0]
 
+    @property
+    def floors(self) -> float:
+        """What is to be explained: the mean square left on left-out stretches by the columns that are always there."""
+        return float(self._without.sum() / len(self._order))
+
     def explained(self, columns: Array, curve: bool = False) -> Explained:
         """What columns (R, K) explain in addition to those that are always there.
 
@@ -206,6 +211,7 @@ class Variable:
         rows: for each play, what each of the curve's knots adds over time: ten, or one for a direction.
         signal: number of the sensor; None for a force.
         shares: for each play (n,) its share of the curve's range; `signs` (n,), with which it acts. For forces.
+        constant: whether it varies at all; if not, `curve` is over the angle.
     """
 
     name: str
@@ -215,6 +221,7 @@ class Variable:
     signal: int | None = None
     shares: Rows = field(default=(), repr=False)
     signs: Rows = field(default=(), repr=False)
+    constant: bool = False
 
     @property
     def quantity(self) -> str:
@@ -323,6 +330,28 @@ def _of_command(design: Design, angles: Mapping[str, float]) -> list[Variable]:
     return [Variable("command", "curve_angle", design.missing.axis, rows, None, over, signs)]
 
 
+def constants(design: Design, positions: Sequence[str]) -> list[Variable]:
+    """A force that does not vary, and an error of each sensor that does not."""
+    axis, signals = design.missing.axis, design.missing.signals
+    ways: list[tuple[str, str, str, int | None]] = [("constant force", "curve_angle", axis, None)]
+    ways += [(f"constant error of {signals[i]}", "curve_sensor", signals[i], i) for i in sensors(design, positions)]
+    return [
+        Variable(name, which, place, [np.ones((len(angle), 1)) for angle in design.angles(number)], number,
+                 constant=True)
+        for name, which, place, number in ways
+    ]  # fmt: skip
+
+
+def _turned(design: Design, constant: Variable, rng: np.random.Generator) -> Array:
+    """(R, 1) what a constant changes if its sign is drawn anew for every stretch of time."""
+    rows = []
+    for play, own in zip(design.plays, constant.rows, strict=True):
+        time = play.nodes if constant.signal is None else play.time[play.signal == constant.signal]
+        signs = rng.choice([-1.0, 1.0], int(play.nodes[-1] / LEAST_SHIFT) + 2)
+        rows.append(own * signs[np.clip(time / LEAST_SHIFT, 0, len(signs) - 1).astype(int), None])
+    return design.columns(rows, constant.signal)
+
+
 def pairs(every: Sequence[Variable], shares: Sequence[float]) -> list[Variable]:
     """Surfaces over two variables, of those forces that explain most by themselves.
 
@@ -374,6 +403,7 @@ class Dependence:
         period: rad of the waves over the angle that explain it better than a smooth function, else None.
         traced: what turns with that period, as the rig file states ratios; "" if nothing does.
         pair: whether it is over two variables at once; `curve` is then of the one that explains more by itself.
+        constant: whether it is over none; `curve` is then over the angle.
     """
 
     variable: str
@@ -386,6 +416,7 @@ class Dependence:
     period: float | None = None
     traced: str = ""
     pair: bool = False
+    constant: bool = False
 
 
 @dataclass(frozen=True)
@@ -417,13 +448,48 @@ def depends(
 ) -> Depends:
     """What a missing force depends on.
 
+    A constant comes first: moved in time it stays the same, and a curve over any variable includes it. If it explains
+    more than one whose sign turns at random, variables are judged by what they explain beyond it.
+
     Args:
         positions: names of the axis's measured positions.
         ratios: what turns -> radians of it for each radian of the joint, to trace periods by.
     """
-    predictor = Predictor(design)
-    every = variables(design, positions)
     rng = np.random.default_rng(seed)
+    steady = constant(design, positions, rng, seed)
+    if steady is None:
+        return varying(design, Predictor(design), positions, rng, seed, ratios or {})
+    first, columns = steady
+    beyond = varying(design, Predictor(design, columns), positions, rng, seed, ratios or {})
+    best = beyond.first
+    if best and (best.place == first.place or best.share * (1.0 - first.share) > first.share):
+        return beyond
+    return Depends((first, *beyond.dependences), first.chance, first)
+
+
+def constant(
+    design: Design, positions: Sequence[str], rng: np.random.Generator, seed: int
+) -> tuple[Dependence, Array] | None:
+    """The constant that explains most, and what it changes (R, 1); None if that is no more than chance."""
+    predictor, every = Predictor(design), constants(design, positions)
+    chances = [max(predictor.explained(_turned(design, c, rng)).share for c in every) for _ in range(SURROGATES)]
+    chance = float(np.quantile(chances, 1.0 - SETTINGS.law_level))
+    explains = [(predictor.explained(columns), c, columns) for c in every for columns in [c.columns(design)]]
+    e, best, columns = max(explains, key=lambda one: one[0].share)
+    if not _matters(predictor, e.share, chance) or e.interval(seed)[0] <= 0.0:
+        return None
+    named = Dependence(
+        best.name, best.curve, best.place, e.share, e.interval(seed), chance, True, constant=True
+    )  # fmt: skip
+    return named, columns
+
+
+def varying(
+    design: Design, predictor: Predictor, positions: Sequence[str], rng: np.random.Generator, seed: int,
+    ratios: Mapping[str, float],
+) -> Depends:  # fmt: skip
+    """What a missing force depends on besides what is always there."""
+    every = variables(design, positions)
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
     by_chance = [_by_chance(design, predictor, every, moved) for moved in drawn]
     chance = float(np.quantile(by_chance, 1.0 - SETTINGS.law_level))
@@ -433,9 +499,9 @@ def depends(
     alone = len(every)
     explains = [*singly, *(predictor.explained(v.columns(design)) for v in both)]
     for i, (variable, e) in enumerate(zip([*every, *both], explains, strict=True)):
-        known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
+        known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
         explained.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
-    explained += waves(design, predictor, positions, chance, seed, ratios or {})
+    explained += waves(design, predictor, positions, chance, seed, ratios)
     explained.sort(key=lambda pair: -pair[0].share)
     ordered = tuple(d for d, _ in explained)
     best = explained[0][1]
@@ -480,9 +546,9 @@ def _better(one: Explained, other: Explained, seed: int) -> bool:
     return bool(np.quantile(counts @ gains, SETTINGS.law_level) > 0.0)
 
 
-def _matters(design: Design, share: float, chance: float) -> bool:
+def _matters(predictor: Predictor, share: float, chance: float) -> bool:
     """Whether a share of the misfit is more than chance explains, and enough to be worth reporting."""
-    return share > max(chance, 0.0) and share * float(np.mean(design.y**2)) >= SETTINGS.material
+    return share > max(chance, 0.0) and share * predictor.floors >= SETTINGS.material
 
 
 def _shifts(design: Design, rng: np.random.Generator) -> Iterator[float]:
@@ -522,7 +588,7 @@ def waves(
 
         best = refined(share, tried, int(np.argmax([share(float(p)) for p in tried])))
         e = explained(best)
-        known = e.share, e.interval(seed), chance, _matters(design, e.share, chance)
+        known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
         dependences.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
     return dependences
 

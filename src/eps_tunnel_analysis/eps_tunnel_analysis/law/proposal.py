@@ -166,8 +166,9 @@ class Proposal:
         waves = f", with a period of {shown_value(first.period, self.position_unit, 4)}" if first.period else ""
         waves += f", which is {first.traced}" if first.traced else ""
         low, high = first.interval
+        what = f"is a {first.variable}" if first.constant else f"depends on {self.depends.words}{waves}"
         text = (
-            f"Axis {self.axis}: what is missing depends on {self.depends.words}{waves}; that predicts "
+            f"Axis {self.axis}: what is missing {what}; that predicts "
             f"{first.share:.0%} ({low:.0%} to {high:.0%}) of it where that was left out of the fit, chance "
             f"{max(self.chance, 0.0):.0%}."
         )
