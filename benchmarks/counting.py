@@ -108,9 +108,21 @@ def likeliest(r: Record) -> tuple[str, float]:
 
 
 def is_true(r: Record, hypothesis: str) -> bool:
-    """Whether a hypothesis holds: the truth, or "none" if the effect is invisible."""
-    unseen = r["kind"] != "healthy" and r["visibility"] < INVISIBLE
-    return _sorted(hypothesis) in _truths(r) or (unseen and hypothesis == "none")
+    """Whether a hypothesis holds: the truth, or what is visible of it, "none" if nothing is."""
+    if _sorted(hypothesis) in _truths(r):
+        return True
+    if r["kind"] == "pair":
+        return _sorted(hypothesis) in _visible_parts(r)
+    return bool(r["kind"] != "healthy" and r["visibility"] < INVISIBLE and hypothesis == "none")
+
+
+def _visible_parts(r: Record) -> set[str]:
+    """Names, in every way that is right, of the effects of a pair that show, if one of them does not."""
+    seen = [h for h in r.get("hidden", ()) if h["visibility"] >= INVISIBLE]
+    if len(seen) == len(r.get("hidden", ())):
+        return set()
+    names = [[f"{effect}.{h['place']}" for effect in (h["effect"], *h["also"])] for h in seen]
+    return {" + ".join(sorted(chosen)) or "none" for chosen in itertools.product(*names)}
 
 
 def _truths(r: Record) -> set[str]:

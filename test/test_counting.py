@@ -116,6 +116,17 @@ def test_calibration_of_what_is_sure_and_of_what_nobody_sees():
     assert calibration([seen]).value == pytest.approx(0.9)
 
 
+def test_what_is_visible_of_a_pair_is_true():
+    shown = {"effect": "a", "place": "x", "also": ["c"], "visibility": 9.0}
+    unseen = {"effect": "b", "place": "y", "also": [], "visibility": 0.5}
+    pair = case("pair", "a.x + b.y", "effect", {"c.x": 0.97}, effects=["c.x"], visibility=0.5, hidden=[shown, unseen])
+    assert figures([pair])["stated_above_95_wrong"].value == 0.0
+    plain = dict(pair, hidden=[shown, dict(unseen, visibility=1.5)], visibility=1.5)
+    assert figures([plain])["stated_above_95_wrong"].value == 1.0
+    nothing = dict(pair, set={"none": 0.97}, hidden=[dict(shown, visibility=0.4), unseen])
+    assert figures([nothing])["stated_above_95_wrong"].value == 0.0
+
+
 def test_the_fall_is_over_that_of_the_true_form():
     assert drop_vs_true_form(named("a.x", "a.x", held_out=[1.0, 0.4], true_form=0.2)) == pytest.approx(0.75)
     assert drop_vs_true_form(named("a.x", "a.x", held_out=[1.0, 0.9], true_form=0.95)) is None

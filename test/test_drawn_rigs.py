@@ -207,6 +207,11 @@ def test_what_other_values_of_the_drive_make_up_for_is_not_visible(tmp_path):
     assert hidden.first_order > 5.0 > 1.0 > hidden.visibility
 
 
+def test_what_makes_trials_differ_is_seen_above_their_own_floor(tmp_path):
+    (late,) = cases.draw(790011, tmp_path, "pendulum", "left_out", "command_delay").hidden
+    assert late.form == "jittering" and late.first_order > 5.0 > 2.5 > late.visibility
+
+
 def test_bristles_that_stand_for_friction_are_right_under_both_names(tmp_path):
     hidden = cases.Hidden("coulomb_friction", "x", "lugre", 0.1, 9.0, 8.0, 8.0, also=("lugre_friction",))
     other = cases.Hidden("backlash", "y", "contact", 0.1, 9.0, 8.0, 8.0)

@@ -2,8 +2,9 @@
 """Cases: a drawn rig, what is wrong with it and how plainly that shows, what is played, and the files of all that."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path as File
 from typing import Any
 
@@ -34,6 +35,8 @@ TRUST_ROUNDS = 25  # of the trust region
 ROUNDS = 0.002  # s, a multiple of every firmware's round
 LOG_SHIFT = 0.02  # by which the slope of a logarithm is taken
 LOG_FARTHEST = 7.0  # that it may move
+LARGEST_D = 20.0  # 1/s, of either sign, as far as the library's drive searches
+STARTS_OF_D = (-10.0, 10.0)  # 1/s more than before: no descent from one valley finds the other
 FAR = 1e6  # floors, where a roll-out diverges
 SETTLED = 0.25  # s from a trial's start that do not count: a model starts where the sensors say
 REPLICAS = 4  # trials from which the noise floor is taken
@@ -162,7 +165,7 @@ def _draw(
     trials = min(int(rng.integers(1, 11)), most)
     styles = tuple(str(s) for s in rng.choice(list(STYLES), plays, p=[SHARES[s] for s in STYLES]))
     plans = [_plan(rng, rig, style, rate, seconds) for style in styles]
-    floors = _floors(rig, plans[0], trials, seed)
+    floors_of = partial(_floors, plan=plans[0], trials=trials, seed=seed)
     reality, hidden = rig.reality, []
     for form, axis, place in _possible(rng, rig, kind):
         if len(hidden) == COUNTS[kind]:
@@ -173,7 +176,7 @@ def _draw(
         wanted = float(np.exp(rng.uniform(np.log(low), np.log(VISIBLE[1]))))
         shape = rng.random(5)
         sign = float(rng.choice([-1.0, 1.0])) if form.signed else 1.0
-        item = calibrated(rig, plans[0], floors, form, axis, place, wanted, sign, shape)
+        item = calibrated(rig, plans[0], floors_of, form, axis, place, wanted, sign, shape)
         if item.first_order >= ENOUGH * low:  # no motion of this rig shows the others
             reality = form.apply(rig, reality, axis, place, sign * item.strength, shape)
             hidden.append(replace(item, period=_period(reality, form.effect, axis)))
@@ -240,13 +243,13 @@ def _possible(rng: np.random.Generator, rig: Rig, kind: str) -> Iterator[tuple[F
         yield places[int(rng.integers(len(places)))]
 
 
-def _floors(rig: Rig, plan: Plan, trials: int, seed: int) -> dict[str, float]:
+def _floors(reality: Reality, plan: Plan, trials: int, seed: int) -> dict[str, float]:
     """Noise floor of the mean of the trials, of every position, and what of its motion does not matter."""
-    runs = record(rig.reality, plan, REPLICAS, seed * 10 + 9)
-    still = clean(rig.reality, plan)
+    runs = record(reality, plan, REPLICAS, seed * 10 + 9)
+    still = clean(reality, plan)
     times = np.arange(len(next(iter(still.values())))) / plan.rate
     floors = {}
-    for name, sensor in rig.reality.sensors.items():
+    for name, sensor in reality.sensors.items():
         if sensor.quantity in ("motor", "load"):
             inside = (times > SETTLED) & (times < plan.seconds - 0.1)
             on_grid = np.array([np.interp(times, run.stamps, run.readings[name])[inside] for run in runs])
@@ -259,17 +262,20 @@ def _floors(rig: Rig, plan: Plan, trials: int, seed: int) -> dict[str, float]:
 
 
 def calibrated(
-    rig: Rig, plan: Plan, floors: dict[str, float], form: Form, axis: int, place: str, wanted: float, sign: float,
-    shape: Array,
+    rig: Rig, plan: Plan, floors_of: Callable[[Reality], dict[str, float]], form: Form, axis: int, place: str,
+    wanted: float, sign: float, shape: Array,
 ) -> Hidden:  # fmt: skip
     """The strength at which a form shows `wanted` times the floor to first order, as nearly as its range allows."""
     before = form.before(rig.reality, axis) if form.before else rig.reality
+    floors = floors_of(rig.reality)
 
     def hidden(strength: float, seen: tuple[float, float]) -> Hidden:
         visible = seen[1]
         if 0.0 < visible < np.inf:
             changed = form.apply(rig, before, axis, place, sign * strength, shape)
-            visible = _refitted(rig, before, changed, plan, floors, axis, visible)
+            # What makes trials differ hides itself: a rig's own trials are all that shows its floor.
+            own = {name: max(floor, floors[name]) for name, floor in floors_of(changed).items()}
+            visible = _refitted(rig, before, changed, plan, own, axis, visible)
         return Hidden(form.effect, place, form.name, strength, seen[0], visible, seen[1], form.also)
 
     healthy = _stacked(clean(before, plan), floors, plan)
@@ -358,7 +364,9 @@ def _by_trust_region(
     values = [loose for loose in rig.loose if loose.axis == axis or rig.kind == "two_link_arm"]
     own = np.array([_value(before, loose) for loose in values])
     true = np.array([_value(rig.reality, loose) for loose in values])
+    signed = np.array([rig.law == "velocity_pid" and loose.name == "d" for loose in values])  # D of either sign
     free = np.array([not np.isfinite(loose.low) and value > 0 for loose, value in zip(values, own, strict=True)])
+    free &= ~signed
     scale = np.array([loose.step for loose in values])
     # A delay is moved by whole rounds of the firmware: it waits for the next one anyway.
     shift = np.array([ROUNDS if loose.name == "delay" else loose.step for loose in values]) / scale
@@ -367,6 +375,7 @@ def _by_trust_region(
     high = (np.array([loose.high + value for loose, value in zip(values, true, strict=True)]) - own) / scale
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
     low[free], high[free] = -LOG_FARTHEST, LOG_FARTHEST
+    low[signed], high[signed] = (-LARGEST_D - own[signed]) / scale[signed], (LARGEST_D - own[signed]) / scale[signed]
     least = most
 
     def apart(moved: Array) -> Array:
@@ -387,8 +396,10 @@ def _by_trust_region(
         columns = [(apart(moved + way * unit) - here) / way for way, unit in zip(ways, np.eye(len(ways)), strict=True)]
         return np.column_stack(columns)
 
-    least_squares(apart, np.zeros(len(values)), jac=slopes, bounds=(low, high), x_scale="jac", max_nfev=TRUST_ROUNDS,
-                  ftol=1e-3)  # fmt: skip
+    for d in (0.0, *(STARTS_OF_D if signed.any() else ())):
+        start = np.where(signed, np.clip(d / scale, low, high), 0.0)
+        least_squares(apart, start, jac=slopes, bounds=(low, high), x_scale="jac", max_nfev=TRUST_ROUNDS,
+                      ftol=1e-3)  # fmt: skip
     return least
 
 

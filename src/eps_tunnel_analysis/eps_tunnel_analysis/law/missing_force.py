@@ -2,7 +2,7 @@
 """The force that a model lacks over time: added in the roll-out, it closes the gap to what was measured.
 
 Forces at nodes 20 ms apart, linear between them, solve a least-squares problem in the residuals of positions and
-efforts together, linearised about the roll-out; then once more about the roll-out with the force found. Its bandwidth
+efforts together, linearised about the roll-out; then again about the roll-out with the force found. Its bandwidth
 is the smoothness that best predicts samples that were left out.
 """
 
@@ -78,7 +78,8 @@ class MissingForce:
         unit: of the force.
         plays: one for each recording.
         smoothness: weight of the curvature that predicts left-out samples best.
-        floors: mean square of the residuals in units of the noise floor, without the force and with it.
+        floors: mean square of the residuals in units of the noise floor, without the force and, as linearised, with it.
+        worst: that of the worst signal without the force: others with a wide floor would hide it.
         side: of the axis that it acts on, "motor" or "load".
     """
 
@@ -88,6 +89,7 @@ class MissingForce:
     plays: tuple[PlayAnswer, ...]
     smoothness: float
     floors: tuple[float, float]
+    worst: float = float("nan")
     side: str = "motor"
 
     @property
@@ -95,17 +97,14 @@ class MissingForce:
         """Root mean square of the force, in its unit."""
         return float(np.sqrt(np.mean(np.concatenate([p.force for p in self.plays]) ** 2)))
 
-    @property
-    def worst(self) -> float:
-        """Floors left of the worst signal without the force: others with a wide floor would hide it."""
-        residuals, signal = (
-            np.concatenate(parts) for parts in zip(*((p.residuals, p.signal) for p in self.plays), strict=True)
-        )
-        return worst_floors(residuals, signal)
-
 
 def missing_force(
-    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, passes: int = PASSES, at_load: bool = False
+    model: Model,
+    plays: Sequence[Play],
+    part: AxisPart,
+    nthread: int = 0,
+    passes: int = PASSES,
+    at_load: bool = False,
 ) -> MissingForce:
     """The force that one axis lacks.
 
@@ -113,6 +112,8 @@ def missing_force(
         model: refitted.
         plays: recorded.
         part: of the axis: what is compared, and the values that may also move.
+        passes: linearisations at most; each is about the force of the last, or part of the way to it if a roll-out with
+            that force leaves more.
         at_load: whether the force acts behind the belt, on the load's joint.
     """
     search = axis_search(model, plays, part, SearchOptions((), nthread))
@@ -123,34 +124,49 @@ def missing_force(
     first = np.concatenate([[0], np.cumsum(sizes)])
     forces = [np.zeros(playing.count(p)) for p in range(len(plays))]
     nodes_of = [_nodes(playing.evidence[p].times(0)) for p in range(len(plays))]
-    smoothness = 1.0
+    first_residuals: Array | None = None
+    smoothness, least, share = 1.0, np.inf, 1.0
+    accepted = target = forces
     answers: list[PlayAnswer] = []
-    for number in range(passes):
+    for _ in range(passes):
         parts = []
         for p in range(len(plays)):
             of_play = owner[search.used] == p
             used, scale = search.used[of_play] - first[p], search.scale[of_play]
             parts.append(_linearised(playing, p, forces[p], nodes_of[p], used, scale, search.spans))
-        if number and _settled(answers, parts):
+        rolled_out = np.concatenate([about.rolled_out for about in parts])
+        cost = float(np.mean(rolled_out**2))
+        if first_residuals is None:
+            first_residuals = rolled_out
+            smoothness = _bandwidth([(about.residuals, about.answer) for about in parts])
+        elif not cost < least:  # a step too far for the linearisation that it came from
+            share *= 0.5
+            forces = [old + share * (new - old) for old, new in zip(accepted, target, strict=True)]
+            continue
+        elif _settled(answers, rolled_out):
             break
-        if number == 0:
-            smoothness = _bandwidth([(y, a) for _, _, y, a, _ in parts])
-        answers = []
-        for p, (motion, nodes, residuals, answer, base) in enumerate(parts):
+        least, share, accepted = cost, 1.0, forces
+        answers, target = [], []
+        for p, about in enumerate(parts):
             of_play = owner[search.used] == p
-            force, band = _smoothed(residuals, answer, smoothness)
-            forces[p] = np.interp(playing.evidence[p].times(0), nodes, force)
+            force, band = _smoothed(about.residuals, about.answer, smoothness)
+            target.append(np.interp(playing.evidence[p].times(0), about.nodes, force))
             answers.append(
                 PlayAnswer(
-                    motion, nodes, residuals, answer, base, search.evidence.time[search.used][of_play],
-                    search.signal[of_play], folds[search.used][of_play], search.scale[of_play], force, band,
+                    about.motion, about.nodes, about.residuals, about.answer, about.base,
+                    search.evidence.time[search.used][of_play], search.signal[of_play], folds[search.used][of_play],
+                    search.scale[of_play], force, band,
                 )
             )  # fmt: skip
+        forces = target
+    assert first_residuals is not None
     remaining = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
-    here = np.concatenate([a.residuals for a in answers])
     slides, side = model.rig.axis(part.name).slides, "load" if at_load else "motor"
-    floors = float(np.mean(here**2)), float(np.mean(remaining**2))
-    return MissingForce(part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, side)
+    floors = float(np.mean(first_residuals**2)), float(np.mean(remaining**2))
+    worst = worst_floors(first_residuals, np.concatenate([a.signal for a in answers]))
+    return MissingForce(
+        part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, worst, side
+    )
 
 
 @dataclass(frozen=True)
@@ -219,11 +235,10 @@ def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
     return csr_array((weights, (rows, np.concatenate([after - 1, after]))), shape=(len(time), len(nodes)))
 
 
-def _settled(answers: Sequence[PlayAnswer], parts: Sequence[tuple[Motion, Array, Array, csr_array, Array]]) -> bool:
+def _settled(answers: Sequence[PlayAnswer], rolled_out: Array) -> bool:
     """Whether roll-outs with the forces found leave what the last linearisation promised."""
     promised = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
-    remaining = np.concatenate([y + answer @ a.force for a, (_, _, y, answer, _) in zip(answers, parts, strict=True)])
-    return bool(np.mean((remaining - promised) ** 2) < AS_PROMISED * max(float(np.mean(promised**2)), 1.0))
+    return bool(np.mean((rolled_out - promised) ** 2) < AS_PROMISED * max(float(np.mean(promised**2)), 1.0))
 
 
 def _nodes(times: Array) -> Array:
@@ -231,10 +246,21 @@ def _nodes(times: Array) -> Array:
     return np.linspace(0.0, times[-1], max(3, round(times[-1] / SPACING) + 1))
 
 
+@dataclass(frozen=True)
+class _Linearised:
+    """One play about a force: as in PlayAnswer, and (R,) residuals of the roll-out with that force."""
+
+    motion: Motion
+    nodes: Array
+    residuals: Array
+    answer: csr_array
+    base: Array
+    rolled_out: Array
+
+
 def _linearised(
     playing: Playing, play: int, force: Array, nodes: Array, used: NDArray[np.int64], scale: Array, span: Array
-) -> tuple[Motion, Array, Array, csr_array, Array]:
-    """Motion, nodes, residuals without any force, and how they answer forces at the nodes and base values."""
+) -> _Linearised:
     motion = playing.motion(play, force)
     push = max(PUSH * float(np.sqrt(np.mean(motion.drive**2))), LEAST_PUSH)
     apart = max(1, round(DECAYED / (nodes[1] - nodes[0])))
@@ -268,7 +294,7 @@ def _linearised(
         shown = playing.residuals(play, np.tile(force, (len(steps), 1)), moved)[:, used] / scale
         base = (np.nan_to_num(shown - seen[0]) / (steps / span[: len(steps)])[:, None]).T
     at_nodes = np.interp(nodes, steps_at, force)
-    return motion, nodes, seen[0] - answer @ at_nodes, answer, base
+    return _Linearised(motion, nodes, seen[0] - answer @ at_nodes, answer, base, seen[0])
 
 
 def _penalised(gram: csr_array, weight: float) -> Array:
