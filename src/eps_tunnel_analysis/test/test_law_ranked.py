@@ -99,6 +99,19 @@ def test_a_force_behind_a_belt_is_found_on_the_load_and_on_every_axis_that_lacks
     assert [m["side"] for m in told.to_json()["also"]] == ["load", "motor", "load"]
 
 
+def test_the_force_that_a_sticking_joint_lacks_closes_the_gap(labyrinth: Model) -> None:
+    """Where a joint sticks, a force that follows from slopes may be far too large, and the next one larger still."""
+    t = np.arange(0.0, 4.0 + STEP / 2, STEP)
+    command = np.stack([0.05 * np.sin(2 * np.pi * 0.3 * t), 0.0 * t], axis=1)
+    sticks = labyrinth.with_effect("coulomb_friction", "x", {"torque": 0.4})
+    more = sticks.with_effect("stribeck_friction", "x", {"extra": 0.3})
+    missing = missing_force(sticks, [played(more, command, 1, 1e-4)], PARTS["x"], nthread=1)
+    assert missing.floors[0] > 1000.0 and missing.floors[1] < 3.0
+    assert missing.worst == pytest.approx(missing_force(sticks, [played(more, command, 1, 1e-4)], PARTS["x"],
+                                                        nthread=1, passes=1).worst)  # fmt: skip
+    assert missing.size < 1.0
+
+
 def test_the_offset_that_a_sensor_lacks_is_found(labyrinth: Model) -> None:
     off = labyrinth.with_effect("sensor_bias", "board_x", {"bias": 0.01})
     missing = missing_force(labyrinth, [played(off, both(), 1, 1e-4)], PARTS["x"], nthread=1, passes=1)
