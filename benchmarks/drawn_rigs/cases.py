@@ -165,7 +165,7 @@ def _draw(
     trials = min(int(rng.integers(1, 11)), most)
     styles = tuple(str(s) for s in rng.choice(list(STYLES), plays, p=[SHARES[s] for s in STYLES]))
     plans = [_plan(rng, rig, style, rate, seconds) for style in styles]
-    floors_of = partial(_floors, plan=plans[0], trials=trials, seed=seed)
+    view_of = partial(View.of, trials=trials, seed=seed)
     reality, hidden = rig.reality, []
     for form, axis, place in _possible(rng, rig, kind):
         if len(hidden) == COUNTS[kind]:
@@ -176,7 +176,7 @@ def _draw(
         wanted = float(np.exp(rng.uniform(np.log(low), np.log(VISIBLE[1]))))
         shape = rng.random(5)
         sign = float(rng.choice([-1.0, 1.0])) if form.signed else 1.0
-        item = calibrated(rig, plans[0], floors_of, form, axis, place, wanted, sign, shape)
+        item = calibrated(rig, plans, view_of, form, axis, place, wanted, sign, shape)
         if item.first_order >= ENOUGH * low:  # no motion of this rig shows the others
             reality = form.apply(rig, reality, axis, place, sign * item.strength, shape)
             hidden.append(replace(item, period=_period(reality, form.effect, axis)))
@@ -261,36 +261,72 @@ def _floors(reality: Reality, plan: Plan, trials: int, seed: int) -> dict[str, f
     return floors
 
 
+@dataclass(frozen=True)
+class View:
+    """What is played, and the noise floor of the mean of the trials there.
+
+    Attributes:
+        plans: one for each play.
+        floors: of each play: position -> its unit.
+    """
+
+    plans: tuple[Plan, ...]
+    floors: tuple[dict[str, float], ...]
+
+    @classmethod
+    def of(cls, plans: Sequence[Plan], reality: Reality, trials: int, seed: int) -> "View":
+        """The floors that a reality's own trials show."""
+        return cls(tuple(plans), tuple(_floors(reality, plan, trials, seed) for plan in plans))
+
+    def beside(self, other: "View") -> "View":
+        """With the larger of two floors."""
+        both = zip(self.floors, other.floors, strict=True)
+        return View(self.plans, tuple({name: max(own[name], one[name]) for name in own} for own, one in both))
+
+    def stacked(self, reality: Reality) -> Array:
+        """(N,) all positions over their floors, from where a start has been forgotten, signal by signal."""
+        seen = [clean(reality, plan) for plan in self.plans]
+        every = zip(seen, self.floors, self.plans, strict=True)
+        parts = [(readings, floors, int(SETTLED * plan.rate)) for readings, floors, plan in every]
+        return np.concatenate([r[name][first:] / f[name] for name in self.floors[0] for r, f, first in parts])
+
+    def size(self, apart: Array) -> float:
+        """Root mean square of the signal that differs most."""
+        return float(np.sqrt(np.max(np.mean(apart.reshape(len(self.floors[0]), -1) ** 2, axis=1))))
+
+
 def calibrated(
-    rig: Rig, plan: Plan, floors_of: Callable[[Reality], dict[str, float]], form: Form, axis: int, place: str,
-    wanted: float, sign: float, shape: Array,
+    rig: Rig, plans: Sequence[Plan], view_of: Callable[[Sequence[Plan], Reality], View], form: Form, axis: int,
+    place: str, wanted: float, sign: float, shape: Array,
 ) -> Hidden:  # fmt: skip
-    """The strength at which a form shows `wanted` times the floor to first order, as nearly as its range allows."""
+    """The strength at which a form shows `wanted` times the floor in the first play to first order, as nearly as its
+    range allows.
+    """
     before = form.before(rig.reality, axis) if form.before else rig.reality
-    floors = floors_of(rig.reality)
+    view = view_of(plans[:1], rig.reality)
 
     def hidden(strength: float, seen: tuple[float, float]) -> Hidden:
         visible = seen[1]
         if 0.0 < visible < np.inf:
             changed = form.apply(rig, before, axis, place, sign * strength, shape)
             # What makes trials differ hides itself: a rig's own trials are all that shows its floor.
-            own = {name: max(floor, floors[name]) for name, floor in floors_of(changed).items()}
-            visible = _refitted(rig, before, changed, plan, own, axis, visible)
+            own = view_of(plans, changed).beside(view_of(plans, rig.reality))
+            visible = _refitted(rig, before, changed, own, axis)
         return Hidden(form.effect, place, form.name, strength, seen[0], visible, seen[1], form.also)
 
-    healthy = _stacked(clean(before, plan), floors, plan)
-    slopes, low, high, _ = _slopes(rig, before, plan, floors, healthy, axis)
+    healthy = view.stacked(before)
+    slopes, low, high, _ = _slopes(rig, before, view, healthy, axis)
 
     def shows(strength: float) -> tuple[float, float]:
         try:
             changed = form.apply(rig, before, axis, place, sign * strength, shape)
-            apart = _stacked(clean(changed, plan), floors, plan) - healthy
+            apart = view.stacked(changed) - healthy
         except DivergedError:
             return np.inf, np.inf
         remaining = apart
         if slopes.size:
             remaining = apart - slopes @ lsq_linear(slopes, apart, bounds=(low, high)).x
-        return _size(apart, floors), _size(remaining, floors)
+        return view.size(apart), view.size(remaining)
 
     below: tuple[float, tuple[float, float]] | None = None
     above: tuple[float, tuple[float, float]] | None = None
@@ -313,37 +349,30 @@ def calibrated(
     return hidden(strength, seen)
 
 
-def _refitted(
-    rig: Rig, before: Reality, changed: Reality, plan: Plan, floors: dict[str, float], axis: int, most: float
-) -> float:
+def _refitted(rig: Rig, before: Reality, changed: Reality, view: View, axis: int) -> float:
     """How a reality differs from another one whose loose values are fitted to it in whole roll-outs.
 
     Slopes at the true values alone exaggerate: a drive that a large effect moves far can compensate for more of it.
     Two searches, as either may stop too early: Gauss-Newton with bounded steps, and a trust region in which values
     that are free and positive move as logarithms. The smallest difference on their way counts.
     """
-    shown = _stacked(clean(changed, plan), floors, plan)
-    return min(
-        _by_bounded_steps(rig, before, shown, plan, floors, axis, most),
-        _by_trust_region(rig, before, shown, plan, floors, axis, most),
-    )
+    shown = view.stacked(changed)
+    return min(_by_bounded_steps(rig, before, shown, view, axis), _by_trust_region(rig, before, shown, view, axis))
 
 
-def _by_bounded_steps(
-    rig: Rig, before: Reality, shown: Array, plan: Plan, floors: dict[str, float], axis: int, most: float
-) -> float:
-    fitted, least = before, most
-    apart = _stacked(clean(before, plan), floors, plan) - shown
+def _by_bounded_steps(rig: Rig, before: Reality, shown: Array, view: View, axis: int) -> float:
+    fitted, apart = before, view.stacked(before) - shown
+    least = view.size(apart)
     cost = float(apart @ apart)
     for _ in range(REFITS):
-        slopes, low, high, loose = _slopes(rig, fitted, plan, floors, apart + shown, axis)
+        slopes, low, high, loose = _slopes(rig, fitted, view, apart + shown, axis)
         if not loose:
             break
         change = lsq_linear(slopes, -apart, bounds=(np.maximum(low, -1e6), np.minimum(high, 1e6))).x
         for share in SHORTER:
             there = _moved(fitted, loose, share * change)
             try:
-                rest = _stacked(clean(there, plan), floors, plan) - shown
+                rest = view.stacked(there) - shown
             except DivergedError:
                 continue
             if float(rest @ rest) < cost:
@@ -352,15 +381,13 @@ def _by_bounded_steps(
             break
         gained = cost - float(rest @ rest)
         fitted, apart, cost = there, rest, float(rest @ rest)
-        least = min(least, _size(apart, floors))
+        least = min(least, view.size(apart))
         if gained < 0.02 * cost:
             break
     return least
 
 
-def _by_trust_region(
-    rig: Rig, before: Reality, shown: Array, plan: Plan, floors: dict[str, float], axis: int, most: float
-) -> float:
+def _by_trust_region(rig: Rig, before: Reality, shown: Array, view: View, axis: int) -> float:
     values = [loose for loose in rig.loose if loose.axis == axis or rig.kind == "two_link_arm"]
     own = np.array([_value(before, loose) for loose in values])
     true = np.array([_value(rig.reality, loose) for loose in values])
@@ -376,7 +403,7 @@ def _by_trust_region(
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
     low[free], high[free] = -LOG_FARTHEST, LOG_FARTHEST
     low[signed], high[signed] = (-LARGEST_D - own[signed]) / scale[signed], (LARGEST_D - own[signed]) / scale[signed]
-    least = most
+    least = np.inf
 
     def apart(moved: Array) -> Array:
         nonlocal least
@@ -384,10 +411,10 @@ def _by_trust_region(
         for loose, value in zip(values, np.where(free, own * np.exp(moved), own + scale * moved), strict=True):
             reality = _with(reality, loose, float(value))
         try:
-            rest = _stacked(clean(reality, plan), floors, plan) - shown
+            rest = view.stacked(reality) - shown
         except DivergedError:
             return np.full(len(shown), FAR)
-        least = min(least, _size(rest, floors))
+        least = min(least, view.size(rest))
         return rest
 
     def slopes(moved: Array) -> Array:
@@ -425,7 +452,7 @@ def _with(reality: Reality, loose: Loose, value: float) -> Reality:
 
 
 def _slopes(
-    rig: Rig, before: Reality, plan: Plan, floors: dict[str, float], healthy: Array, axis: int
+    rig: Rig, before: Reality, view: View, healthy: Array, axis: int
 ) -> tuple[Array, Array, Array, list[Loose]]:
     """(N, k) change of the positions with each value that a refit may move, scaled to steps, the bounds (k,) of how
     many steps it may move from here, and which values these are.
@@ -445,7 +472,7 @@ def _slopes(
         if bounds[0] == bounds[1]:
             continue
         try:
-            there = _stacked(clean(_with(before, loose, own + shift), plan), floors, plan)
+            there = view.stacked(_with(before, loose, own + shift))
         except DivergedError:
             continue
         columns.append((there - healthy) / shift * loose.step)
@@ -455,14 +482,3 @@ def _slopes(
     if not columns:
         return np.empty((len(healthy), 0)), np.empty(0), np.empty(0), []
     return np.column_stack(columns), np.array(low), np.array(high), moved
-
-
-def _stacked(readings: dict[str, Array], floors: dict[str, float], plan: Plan) -> Array:
-    """(N,) all positions over their floors, from where a start has been forgotten."""
-    first = int(SETTLED * plan.rate)
-    return np.concatenate([readings[name][first:] / floor for name, floor in floors.items()])
-
-
-def _size(apart: Array, floors: dict[str, float]) -> float:
-    """Root mean square of the signal that differs most."""
-    return float(np.sqrt(np.max(np.mean(apart.reshape(len(floors), -1) ** 2, axis=1))))
