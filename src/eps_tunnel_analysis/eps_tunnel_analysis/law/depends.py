@@ -19,6 +19,7 @@ RIDGE = 1e-4  # of the mean square of what a column changes
 BENDS = (0.0, 1e-2, 1.0)  # weights tried of a curve's squared curvature, in the same unit
 SURROGATES = 39
 LEAST_SHIFT = 0.7  # s by which a variable is moved at least
+TURNS = (0.2, 0.8)  # of a play, within which the sign of a constant turns by chance
 DRAWS = 400  # of the block bootstrap
 PERIODS = 120  # tried, evenly in the logarithm; a third of them for the level of chance
 MOST_WAVES = 40.0  # within the range visited
@@ -343,12 +344,12 @@ def constants(design: Design, positions: Sequence[str]) -> list[Variable]:
 
 
 def _turned(design: Design, constant: Variable, rng: np.random.Generator) -> Array:
-    """(R, 1) what a constant changes if its sign is drawn anew for every stretch of time."""
+    """(R, 1) what a constant changes if its sign turns once in every play, as that of a slow misfit does."""
     rows = []
     for play, own in zip(design.plays, constant.rows, strict=True):
         time = play.nodes if constant.signal is None else play.time[play.signal == constant.signal]
-        signs = rng.choice([-1.0, 1.0], int(play.nodes[-1] / LEAST_SHIFT) + 2)
-        rows.append(own * signs[np.clip(time / LEAST_SHIFT, 0, len(signs) - 1).astype(int), None])
+        turns = float(rng.uniform(*TURNS)) * float(play.nodes[-1])
+        rows.append(own * np.where(time < turns, -1.0, 1.0)[:, None])
     return design.columns(rows, constant.signal)
 
 
@@ -449,7 +450,7 @@ def depends(
     """What a missing force depends on.
 
     A constant comes first: moved in time it stays the same, and a curve over any variable includes it. If it explains
-    more than one whose sign turns at random, variables are judged by what they explain beyond it.
+    more than one whose sign turns once, variables are judged by what they explain beyond it.
 
     Args:
         positions: names of the axis's measured positions.
