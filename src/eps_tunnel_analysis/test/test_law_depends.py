@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from eps_tunnel_analysis.law.added_force import Motion
-from eps_tunnel_analysis.law.depends import Depends, Design, depends, traced
+from eps_tunnel_analysis.law.depends import Depends, depends, traced
+from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.missing_force import MissingForce, PlayAnswer
 from labyrinth_sim.trials import Array
 

@@ -3,6 +3,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,12 @@ import pytest
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law.added_force import Playing
-from eps_tunnel_analysis.law.depends import Design
+from eps_tunnel_analysis.law.depends import Dependence, Depends
+from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
-from eps_tunnel_analysis.law.formula import Chosen, dictionary, sensor_dictionary
+from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
-from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, confirmed, propose
+from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_proposed, confirmed, propose
 from eps_tunnel_analysis.outputs import json_text, plain
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import Chart, render
@@ -165,6 +167,25 @@ def test_a_healthy_rig_is_silent(model: Model) -> None:
 @pytest.fixture(scope="module")
 def missing(model: Model) -> MissingForce:
     return missing_force(model, [played(model, 4)], PART, nthread=1, passes=1)
+
+
+def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce) -> None:
+    terms = {t.name: t for t in (*dictionary(Design.of(missing)), *sensor_dictionary(Design.of(missing)))}
+    over = {name: term.over for name, term in terms.items()}
+    assert over | {"constant": "", "stribeck": "curve_speed", "drag": "curve_speed", "trailing": "curve_speed",
+                   "cubic": "curve_angle", "creeping": "curve_angle", "tight": "curve_angle_friction",
+                   "load": "curve_load_friction", "fading": "curve_reversal", "warming": "curve_time_friction",
+                   "friction": "curve_speed", "offset": "curve_sensor"} == over  # fmt: skip
+
+    def dependence(variable: str, curve: str, share: float, named: bool = True) -> Dependence:
+        return Dependence(variable, curve, "a", share, (0.0, 1.0), 0.1, named)
+
+    speed, load = dependence("speed", "curve_speed", 0.7), dependence("load, as friction", "curve_load_friction", 0.72)
+    found = Depends((load, speed), 0.1, speed, (load,))
+    chosen = Formula((Chosen(terms["load"], {"share": 0.1}), Chosen(terms["drag"], {"size": 0.1})), 0.8, (0.7, 0.9))
+    assert _as_proposed(found, chosen).first == load and _as_proposed(found, chosen).ties == (speed,)
+    chance = replace(found, dependences=(replace(load, named=False), speed))
+    assert _as_proposed(chance, chosen).first == speed
 
 
 def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingForce, model: Model) -> None:

@@ -4,6 +4,7 @@ predict on stretches of time that were left out.
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,8 @@ from scipy.signal import lfilter
 
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.added_force import Motion
-from eps_tunnel_analysis.law.depends import Design, Predictor, moving, periods, refined
+from eps_tunnel_analysis.law.depends import moving, periods, refined
+from eps_tunnel_analysis.law.design import Design, Predictor
 from labyrinth_sim.trials import Array
 
 MOST_TERMS = 4
@@ -69,6 +71,20 @@ class Term:
     columns: Callable[[Motion, float], Array]
     needs: str = ""
     follows: str = ""
+
+    @property
+    def over(self) -> str:
+        """The free curve over the variable that it depends on; "" of a constant."""
+        friction = self.acts == "friction"
+        if self.acts == "sensor":
+            return "curve_sensor"
+        if "other" in self.formula:
+            return "curve_other_friction" if friction else "curve_other"
+        if "angle" in (*re.findall(r"\w+", self.formula), self.follows):
+            return "curve_angle_friction" if friction else "curve_angle"
+        by = {"carried": "curve_load_friction", "since": "curve_reversal", "time": "curve_time_friction"}
+        which = next((curve for word, curve in by.items() if word in self.formula), "curve_speed")
+        return "" if self.formula == "{size}" and not friction else which
 
 
 @dataclass(frozen=True)

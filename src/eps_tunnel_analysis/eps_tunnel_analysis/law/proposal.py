@@ -21,17 +21,8 @@ from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.added_force import visited
-from eps_tunnel_analysis.law.depends import (
-    Depends,
-    Design,
-    Predictor,
-    depends,
-    half_widths,
-    knots_of,
-    sensors,
-    traced,
-    variables,
-)
+from eps_tunnel_analysis.law.depends import Dependence, Depends, depends, knots_of, sensors, traced, variables
+from eps_tunnel_analysis.law.design import Design, Predictor, half_widths
 from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, prefixes, seen_mark
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import (
@@ -300,13 +291,9 @@ def propose(
     laws = formulas(design, terms, sensor, seed)
     spans = visited(motions)
     spans["curve_sensor"] = spans["curve_angle"]
-    chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (first.curve, first.place))
-    columns = chosen.columns(design)
-    weights = Predictor(design).explained(columns, curve=True).weights
-    table = tuple(zip(knots_of(first.curve, spans[first.curve]).tolist(), weights.tolist(), strict=True))
-    bare = Proposal(part.name, first.place, missing, dependence, nothing, base=model, curve=table, visit=shows,
-                    offsets=offsets, trials=trials,
-                    curve_band=tuple(half_widths(design, columns).tolist()))  # fmt: skip
+    table, band = _curve(design, positions, spans, first)
+    bare = Proposal(part.name, first.place, missing, dependence, nothing, base=model, curve=table, curve_band=band,
+                    visit=shows, offsets=offsets, trials=trials)  # fmt: skip
     run = SearchOptions((), nthread)
     tried: list[_Attempt] = []
     for law in laws:
@@ -318,7 +305,9 @@ def propose(
     best = _best(tried)
     if best is None or best.refit.held_out > SETTINGS.law_complete:
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
-        start = {f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, weights, strict=True)}
+        start = {
+            f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, (w for _, w in table), strict=True)
+        }
         free = _refitted("curve", nothing, lib, plays, part, run, start)
         if best is None or free.refit.held_out * SETTINGS.law_as_good < best.refit.held_out:
             best = free if np.isfinite(free.refit.held_out) else best
@@ -334,7 +323,11 @@ def propose(
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
         mark = seen_mark(model, declared(effect_file(law.terms, sensor is not None)), first.place, plays[0])
         text = effect_file(law.terms, sensor is not None, mark)
-        dependence = _with_period(dependence, law, ratios(model.rig, part.name))
+        proposed = _as_proposed(dependence, law)
+        if proposed.first and proposed.first is not first:
+            table, band = _curve(design, positions, spans, proposed.first)
+            bare = replace(bare, curve=table, curve_band=band, visit=visit(model, part.name, proposed.first, motions))
+        dependence = _with_period(proposed, law, ratios(model.rig, part.name))
     return replace(
         bare, kind=best.kind, effect=best.effect, text=text,
         equation=_equation(law) if best.kind == "formula" else effects()[first.curve].equation,
@@ -342,6 +335,17 @@ def propose(
         ranked=_ranked(best, before, plays, len(terms), beside),
         left=missing_force(best.model, plays, part, nthread, passes=1),
     )  # fmt: skip
+
+
+def _curve(
+    design: Design, positions: Sequence[str], spans: Mapping[str, Mapping[str, float]], over: Dependence
+) -> tuple[tuple[tuple[float, float], ...], tuple[float, ...]]:
+    """What is missing over a variable, as (variable, force) at ten places, and half of the 90 % interval at each."""
+    chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (over.curve, over.place))
+    columns = chosen.columns(design)
+    weights = Predictor(design).explained(columns, curve=True).weights
+    table = tuple(zip(knots_of(over.curve, spans[over.curve]).tolist(), weights.tolist(), strict=True))
+    return table, tuple(half_widths(design, columns).tolist())
 
 
 def _equation(law: Formula) -> str:
@@ -381,6 +385,16 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
     short = {name.rpartition(".")[2]: value for name, value in values.items() if name.startswith(f"{NAME}.")}
     for chosen, prefix in zip(terms, prefixes(terms), strict=True):
         yield replace(chosen, values={n: short.get(f"{prefix}_{n}", v) for n, v in chosen.values.items()})
+
+
+def _as_proposed(dependence: Depends, law: Formula) -> Depends:
+    """What is named, if it is something else that the formula's first term depends on: roll-outs have chosen it."""
+    named, over = dependence.first, law.terms[0].term.over
+    same = [d for d in dependence.dependences if d.named and d.curve == over and not (d.pair or d.constant)]
+    if named is None or not same or named.curve == over:
+        return dependence
+    first = max(same, key=lambda d: d.share)
+    return replace(dependence, first=first, ties=(named, *(d for d in dependence.ties if d is not first)))
 
 
 def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
