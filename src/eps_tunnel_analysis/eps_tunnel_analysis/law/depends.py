@@ -51,7 +51,6 @@ class Variable:
         rows: for each play, what each of the curve's knots adds over time: ten, or one for a direction.
         signal: number of the sensor; None for a force.
         shares: for each play (n,) its share of the curve's range; `signs` (n,), with which it acts. For forces.
-        constant: whether it varies at all; if not, `curve` is over the angle.
     """
 
     name: str
@@ -61,7 +60,6 @@ class Variable:
     signal: int | None = None
     shares: Rows = field(default=(), repr=False)
     signs: Rows = field(default=(), repr=False)
-    constant: bool = False
 
     @property
     def quantity(self) -> str:
@@ -176,10 +174,9 @@ def constants(design: Design, positions: Sequence[str]) -> list[Variable]:
     ways: list[tuple[str, str, str, int | None]] = [("constant force", "curve_angle", axis, None)]
     ways += [(f"constant error of {signals[i]}", "curve_sensor", signals[i], i) for i in sensors(design, positions)]
     return [
-        Variable(name, which, place, [np.ones((len(angle), 1)) for angle in design.angles(number)], number,
-                 constant=True)
+        Variable(name, which, place, [np.ones((len(angle), 1)) for angle in design.angles(number)], number)
         for name, which, place, number in ways
-    ]  # fmt: skip
+    ]
 
 
 def _turned(design: Design, constant: Variable, rng: np.random.Generator) -> Array:
@@ -318,10 +315,8 @@ def constant(
     e, best, columns = max(explains, key=lambda one: one[0].share)
     if not _matters(predictor, e.share, chance) or e.interval(seed)[0] <= 0.0:
         return None
-    named = Dependence(
-        best.name, best.curve, best.place, e.share, e.interval(seed), chance, True, constant=True
-    )  # fmt: skip
-    return named, columns
+    known = e.share, e.interval(seed), chance, True
+    return Dependence(best.name, best.curve, best.place, *known, constant=True), columns
 
 
 def varying(

@@ -104,8 +104,9 @@ def _curve(proposal: Proposal) -> list[Block]:
     x, y = np.array(proposal.curve).T
     most = WIDEST * float(np.abs(y).max())
     band = np.minimum(np.array(proposal.curve_band), most) if proposal.curve_band else np.zeros(len(y))
-    name = proposal.depends.first.variable
-    if proposal.depends.first.pair:
+    first = proposal.depends.first
+    name = "angle" if first.constant else first.variable
+    if first.pair:
         name = name.partition(" and ")[0]
     rows = [
         (shown_number(by * a), f"{shown_number(times * b)} ± {shown_number(times * c, 2)}")
