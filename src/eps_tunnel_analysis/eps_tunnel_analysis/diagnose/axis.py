@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
-from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base
+from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base, softened
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, rank, worst_floors
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
@@ -43,6 +43,7 @@ RIVALS = 4  # of an effect that are refitted in its place
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
 TAKEN_APART = 3  # best sets of several effects, each of which is also tried without each of its effects
+SOFTENED = 3  # best sets that are tried with friction of the model that sets in gradually
 MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
 
 
@@ -380,10 +381,12 @@ def refitted_sets(
 
 
 def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The base and the refits; the best of them judged again, with shorter steps, if the best one needs these.
+    """The base and the refits; the best of them judged again, with friction of the model that sets in gradually and
+    with shorter steps, if they need these.
 
     How long steps may be depends on what is left: while an effect is missing, the base needs no such accuracy.
     """
+    refits = best_by_set([*refits, *softened(search, best_by_set(refits)[:SOFTENED])])
     best = lowest([base, *refits])
     if not (search.levels["fine"].extrapolate and search.refine_at(best.values)):
         return base, list(refits)

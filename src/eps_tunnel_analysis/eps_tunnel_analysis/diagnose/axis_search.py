@@ -121,7 +121,8 @@ def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
     names += [f"belt.{axis.belt}.{p}" for p in ("stiffness", "damping")] if axis.belt else []
     values = model.values()
     own = [full_name(axis, name) for name in model.drives[axis.name].kind.uncertain]
-    return (*own, *(n for n in names if n not in own and values.get(n, 0.0) > 0.0))
+    dry = f"coulomb_friction.{axis.name}.slow"
+    return (*own, *(n for n in names if n not in own and values.get(n, 0.0) > 0.0), *([dry] if dry in values else ()))
 
 
 def moved_parts(model: Model, parts: Sequence[AxisPart], plays: Sequence[Play]) -> list[AxisPart]:

@@ -23,6 +23,7 @@ BASE_ROUNDS = 8  # of each descent
 COMPARED_ROUNDS = 3  # of the finalists, before they are compared
 VALLEY_POINTS = 8  # to either side of the best, along the direction that it determines least
 MORE_DESCENTS = 3  # further descents at most, as long as the last one helped
+GRADUAL = 3e-4  # rad/s, from which friction that sets in gradually is descended
 BASE_FINALISTS = 3  # of the starts, descended to the end
 
 
@@ -126,6 +127,8 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     best_of_all = min(last, key=lambda r: r.objective)
     search.refine_at(best_of_all.values)
     result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
+    if first and worst_floors(result.residuals, search.signal) > 1.0:
+        (result,) = softened(search, [result])
     for number in range(MORE_DESCENTS):
         if worst_floors(result.residuals, search.signal) < 1.0:
             break
@@ -143,6 +146,25 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
             result = search.judged([((), result.values)], BASE_ROUNDS)[0]
     search.settle_at(result)
     return result
+
+
+def softened(search: Search, refits: Sequence[Refit]) -> list[Refit]:
+    """The refits with dry friction that sets in gradually where the model's own is sharp, if that fits any of them
+    better.
+
+    Torque noise lets a joint creep that friction should hold. How gradually it sets in is free from then on.
+    """
+    held = search.held
+    if not held.any() or not refits:
+        return list(refits)
+    search.held = np.zeros_like(held)
+    starts = [np.where(held & (r.values == 0.0), GRADUAL, r.values) for r in refits]
+    jobs = [(search.library.of(r.effects), start) for r, start in zip(refits, starts, strict=True)]
+    pairs = list(zip(refits, search.judged(jobs, BASE_ROUNDS), strict=True))
+    if not any(softer.objective < (1.0 - STANDS) * sharp.objective for sharp, softer in pairs):
+        search.held = held
+        return list(refits)
+    return [min(pair, key=lambda r: r.objective) for pair in pairs]
 
 
 def best_valleys(search: Search, starts: Sequence[Array]) -> list[Refit]:

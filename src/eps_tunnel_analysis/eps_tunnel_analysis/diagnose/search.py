@@ -42,9 +42,8 @@ PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corre
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to fit
 STANDS = 0.1  # floors by which half the step may change an answer that is accurate enough
-ROUGH = (
-    0.2  # times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
-)
+#: times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
+ROUGH = 0.2
 
 Level = Literal["coarse", "fine", "exact", "own"]
 Job = tuple[tuple[Candidate, ...], Array]
@@ -165,6 +164,8 @@ class Search:
         self._finest = FINEST * max(1, len(driven))
         self._valleys: dict[tuple[tuple[str, ...], bytes], tuple[Refit, ...]] = {}
         self._idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
+        #: (K,) how gradually the model's own dry friction sets in, as long as it is held at what the model states
+        self.held = np.array([name in library.base and name.endswith(".slow") for name in library.names])
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
         """(n, K) values to (n, R) residuals in units of the noise floor."""
@@ -336,7 +337,7 @@ class Search:
         names = list(self.library.base)
         for name in refit.effects:
             names += self.library.find(name).parameters
-        return [column for column in (self._column[name] for name in names) if not self._idle[column]]
+        return [column for column in (self._column[name] for name in names) if not (self._idle | self.held)[column]]
 
     def refit(
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None, rough: bool = True
@@ -356,7 +357,7 @@ class Search:
         for row, (candidates, _) in enumerate(jobs):
             for candidate in candidates:
                 free[row, self.columns(candidate)] = True
-        free &= ~self._idle
+        free &= ~(self._idle | self.held)
         width = (self.high - self.low) / self.spans
 
         def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
