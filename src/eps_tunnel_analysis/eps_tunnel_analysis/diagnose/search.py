@@ -165,7 +165,8 @@ class Search:
         self._valleys: dict[tuple[tuple[str, ...], bytes], tuple[Refit, ...]] = {}
         self._idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
         #: (K,) how gradually the model's own dry friction sets in, as long as it is held at what the model states
-        self.held = np.array([name in library.base and name.endswith(".slow") for name in library.names])
+        self.held = np.zeros(len(self.start), dtype=bool)
+        self.held[base] = [library.base[column].endswith(".slow") for column in base]
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
         """(n, K) values to (n, R) residuals in units of the noise floor."""

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dry friction of the model that sets in gradually on the rig."""
+
+import numpy as np
+import pytest
+
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.base_values import base_refit
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.model import load_model
+from labyrinth_sim.simulate import simulate
+from labyrinth_sim.trials import Trials
+
+STEP, NOISE, SLOW = 0.01, 2e-4, "coulomb_friction.pendulum.slow"
+
+
+@pytest.mark.parametrize("slow", [0.0, 2e-3])
+def test_how_gradually_the_models_friction_sets_in_is_refitted_where_it_shows(slow: float) -> None:
+    model = load_model("pendulum")
+    time = np.arange(501) * STEP
+    command = 0.3 * np.round(1.5 * np.sin(2 * np.pi * 0.35 * time))[:, None]
+    clean = simulate(model.with_values({SLOW: slow}), time, command)
+    values = clean.values + NOISE * np.random.default_rng(1).normal(size=(3, *clean.values.shape[1:]))
+    commands = np.repeat(command[None], 3, axis=0)
+    play = Play("steps", Trials(clean.time, clean.signals, clean.units, values, clean.command_channels, commands))
+    (part,) = axis_parts(model, [play])
+    search = axis_search(model, [play], part, SearchOptions((), 1))
+    column = search.library.names.index(SLOW)
+    base = base_refit(search)
+    assert base.values[column] == pytest.approx(slow, rel=0.5, abs=1e-9)
+    assert (column in search.fitted(base)) == (slow > 0.0)
