@@ -154,15 +154,15 @@ def softened(search: Search, refits: Sequence[Refit]) -> list[Refit]:
 
     Torque noise lets a joint creep that friction should hold. How gradually it sets in is free from then on.
     """
-    held = search.held
-    if not held.any() or not refits:
+    sharp = search.sharp
+    if not sharp.any() or not refits:
         return list(refits)
-    search.held = np.zeros_like(held)
-    starts = [np.where(held & (r.values == 0.0), GRADUAL, r.values) for r in refits]
+    search.sharp = np.zeros_like(sharp)
+    starts = [np.where(sharp & (r.values == 0.0), GRADUAL, r.values) for r in refits]
     jobs = [(search.library.of(r.effects), start) for r, start in zip(refits, starts, strict=True)]
     pairs = list(zip(refits, search.judged(jobs, BASE_ROUNDS), strict=True))
-    if not any(softer.objective < (1.0 - STANDS) * sharp.objective for sharp, softer in pairs):
-        search.held = held
+    if not any(softer.objective < (1.0 - STANDS) * before.objective for before, softer in pairs):
+        search.sharp = sharp
         return list(refits)
     return [min(pair, key=lambda r: r.objective) for pair in pairs]
 

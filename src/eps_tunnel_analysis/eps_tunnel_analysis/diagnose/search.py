@@ -164,9 +164,9 @@ class Search:
         self._finest = FINEST * max(1, len(driven))
         self._valleys: dict[tuple[tuple[str, ...], bytes], tuple[Refit, ...]] = {}
         self._idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
-        #: (K,) how gradually the model's own dry friction sets in, as long as it is held at what the model states
-        self.held = np.zeros(len(self.start), dtype=bool)
-        self.held[base] = [library.base[column].endswith(".slow") for column in base]
+        #: (K,) how gradually the model's own dry friction sets in, as long as that stays as stated
+        self.sharp = np.zeros(len(self.start), dtype=bool)
+        self.sharp[base] = [library.base[column].endswith(".slow") for column in base]
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
         """(n, K) values to (n, R) residuals in units of the noise floor."""
@@ -338,7 +338,7 @@ class Search:
         names = list(self.library.base)
         for name in refit.effects:
             names += self.library.find(name).parameters
-        return [column for column in (self._column[name] for name in names) if not (self._idle | self.held)[column]]
+        return [column for column in (self._column[name] for name in names) if not (self._idle | self.sharp)[column]]
 
     def refit(
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None, rough: bool = True
@@ -358,7 +358,7 @@ class Search:
         for row, (candidates, _) in enumerate(jobs):
             for candidate in candidates:
                 free[row, self.columns(candidate)] = True
-        free &= ~(self._idle | self.held)
+        free &= ~(self._idle | self.sharp)
         width = (self.high - self.low) / self.spans
 
         def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
