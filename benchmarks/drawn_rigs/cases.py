@@ -165,7 +165,8 @@ def _draw(
     trials = min(int(rng.integers(1, 11)), most)
     styles = tuple(str(s) for s in rng.choice(list(STYLES), plays, p=[SHARES[s] for s in STYLES]))
     plans = [_plan(rng, rig, style, rate, seconds) for style in styles]
-    view_of = partial(View.of, trials=trials, seed=seed)
+    view_of = partial(View.of, plans, trials=trials, seed=seed)
+    healthy = view_of(rig.reality)
     reality, hidden = rig.reality, []
     for form, axis, place in _possible(rng, rig, kind):
         if len(hidden) == COUNTS[kind]:
@@ -176,7 +177,7 @@ def _draw(
         wanted = float(np.exp(rng.uniform(np.log(low), np.log(VISIBLE[1]))))
         shape = rng.random(5)
         sign = float(rng.choice([-1.0, 1.0])) if form.signed else 1.0
-        item = calibrated(rig, plans, view_of, form, axis, place, wanted, sign, shape)
+        item = calibrated(rig, healthy, view_of, form, axis, place, wanted, sign, shape)
         if item.first_order >= ENOUGH * low:  # no motion of this rig shows the others
             reality = form.apply(rig, reality, axis, place, sign * item.strength, shape)
             hidden.append(replace(item, period=_period(reality, form.effect, axis)))
@@ -278,6 +279,11 @@ class View:
         """The floors that a reality's own trials show."""
         return cls(tuple(plans), tuple(_floors(reality, plan, trials, seed) for plan in plans))
 
+    @property
+    def first(self) -> "View":
+        """The first play alone."""
+        return View(self.plans[:1], self.floors[:1])
+
     def beside(self, other: "View") -> "View":
         """With the larger of two floors."""
         both = zip(self.floors, other.floors, strict=True)
@@ -296,31 +302,34 @@ class View:
 
 
 def calibrated(
-    rig: Rig, plans: Sequence[Plan], view_of: Callable[[Sequence[Plan], Reality], View], form: Form, axis: int,
-    place: str, wanted: float, sign: float, shape: Array,
+    rig: Rig, healthy: View, view_of: Callable[[Reality], View], form: Form, axis: int, place: str, wanted: float,
+    sign: float, shape: Array,
 ) -> Hidden:  # fmt: skip
     """The strength at which a form shows `wanted` times the floor in the first play to first order, as nearly as its
     range allows.
+
+    Args:
+        healthy: the floors without it; `view_of`, those that a reality's own trials show.
     """
     before = form.before(rig.reality, axis) if form.before else rig.reality
-    view = view_of(plans[:1], rig.reality)
+    view = healthy.first
 
     def hidden(strength: float, seen: tuple[float, float]) -> Hidden:
         visible = seen[1]
         if 0.0 < visible < np.inf:
             changed = form.apply(rig, before, axis, place, sign * strength, shape)
             # What makes trials differ hides itself: a rig's own trials are all that shows its floor.
-            own = view_of(plans, changed).beside(view_of(plans, rig.reality))
+            own = view_of(changed).beside(healthy)
             visible = _refitted(rig, before, changed, own, axis)
         return Hidden(form.effect, place, form.name, strength, seen[0], visible, seen[1], form.also)
 
-    healthy = view.stacked(before)
-    slopes, low, high, _ = _slopes(rig, before, view, healthy, axis)
+    without = view.stacked(before)
+    slopes, low, high, _ = _slopes(rig, before, view, without, axis)
 
     def shows(strength: float) -> tuple[float, float]:
         try:
             changed = form.apply(rig, before, axis, place, sign * strength, shape)
-            apart = view.stacked(changed) - healthy
+            apart = view.stacked(changed) - without
         except DivergedError:
             return np.inf, np.inf
         remaining = apart
@@ -388,7 +397,7 @@ def _by_bounded_steps(rig: Rig, before: Reality, shown: Array, view: View, axis:
 
 
 def _by_trust_region(rig: Rig, before: Reality, shown: Array, view: View, axis: int) -> float:
-    values = [loose for loose in rig.loose if loose.axis == axis or rig.kind == "two_link_arm"]
+    values = _movable(rig, axis)
     own = np.array([_value(before, loose) for loose in values])
     true = np.array([_value(rig.reality, loose) for loose in values])
     signed = np.array([rig.law == "velocity_pid" and loose.name == "d" for loose in values])  # D of either sign
@@ -430,6 +439,11 @@ def _by_trust_region(rig: Rig, before: Reality, shown: Array, view: View, axis: 
     return least
 
 
+def _movable(rig: Rig, axis: int) -> list[Loose]:
+    """What a refit of an axis may move: its own values, and those of axes that shake it."""
+    return [loose for loose in rig.loose if loose.axis == axis or rig.kind == "two_link_arm"]
+
+
 def _moved(reality: Reality, every: Sequence[Loose], change: Array) -> Reality:
     """A reality with loose values moved by so many of their steps; free ones no further than a round may."""
     for loose, by in zip(every, change, strict=True):
@@ -458,10 +472,7 @@ def _slopes(
     many steps it may move from here, and which values these are.
     """
     columns, low, high, moved = [], [], [], []
-    coupled = rig.kind == "two_link_arm"
-    for loose in rig.loose:
-        if loose.axis != axis and not coupled:
-            continue
+    for loose in _movable(rig, axis):
         true, own = _value(rig.reality, loose), _value(before, loose)
         shift = loose.step
         if loose.name == "delay":

@@ -23,6 +23,7 @@ from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import setpoints
 from labyrinth_sim.build import axes_couple, compiled, coupled_axes
 from labyrinth_sim.errors import InputError
+from labyrinth_sim.friction import SLOW
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Axis
 from labyrinth_sim.trials import Array
@@ -121,7 +122,7 @@ def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
     names += [f"belt.{axis.belt}.{p}" for p in ("stiffness", "damping")] if axis.belt else []
     values = model.values()
     own = [full_name(axis, name) for name in model.drives[axis.name].kind.uncertain]
-    dry = f"coulomb_friction.{axis.name}.slow"
+    dry = f"coulomb_friction.{axis.name}.{SLOW.name}"
     return (*own, *(n for n in names if n not in own and values.get(n, 0.0) > 0.0), *([dry] if dry in values else ()))
 
 

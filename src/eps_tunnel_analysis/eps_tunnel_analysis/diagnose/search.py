@@ -20,6 +20,7 @@ from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import jacobian, steps_within
 from eps_tunnel_analysis.fit.lockstep import descend
 from eps_tunnel_analysis.fit.problem import AT_BOUND
+from labyrinth_sim.friction import SLOW
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
@@ -166,7 +167,7 @@ class Search:
         self._idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
         #: (K,) how gradually the model's own dry friction sets in, as long as that stays as stated
         self.sharp = np.zeros(len(self.start), dtype=bool)
-        self.sharp[base] = [library.base[column].endswith(".slow") for column in base]
+        self.sharp[base] = [library.base[column].endswith(f".{SLOW.name}") for column in base]
 
     def residuals(self, values: Array, level: Level = "coarse") -> Array:
         """(n, K) values to (n, R) residuals in units of the noise floor."""

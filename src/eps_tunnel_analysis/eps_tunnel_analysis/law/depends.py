@@ -293,9 +293,10 @@ def depends(
         ratios: what turns -> radians of it for each radian of the joint, to trace periods by.
     """
     rng = np.random.default_rng(seed)
-    steady = constant(design, positions, rng, seed)
+    predictor = Predictor(design)
+    steady = constant(design, predictor, positions, rng, seed)
     if steady is None:
-        return varying(design, Predictor(design), positions, rng, seed, ratios or {})
+        return varying(design, predictor, positions, rng, seed, ratios or {})
     first, columns = steady
     beyond = varying(design, Predictor(design, columns), positions, rng, seed, ratios or {})
     best = beyond.first
@@ -305,13 +306,14 @@ def depends(
 
 
 def constant(
-    design: Design, positions: Sequence[str], rng: np.random.Generator, seed: int
+    design: Design, predictor: Predictor, positions: Sequence[str], rng: np.random.Generator, seed: int
 ) -> tuple[Dependence, Array] | None:
     """The constant that explains most, and what it changes (R, 1); None if that is no more than chance."""
-    predictor, every = Predictor(design), constants(design, positions)
+    every = constants(design, positions)
     chances = [max(predictor.explained(_turned(design, c, rng)).share for c in every) for _ in range(SURROGATES)]
     chance = float(np.quantile(chances, 1.0 - SETTINGS.law_level))
-    explains = [(predictor.explained(columns), c, columns) for c in every for columns in [c.columns(design)]]
+    changes = [c.columns(design) for c in every]
+    explains = [(predictor.explained(change), c, change) for c, change in zip(every, changes, strict=True)]
     e, best, columns = max(explains, key=lambda one: one[0].share)
     if not _matters(predictor, e.share, chance) or e.interval(seed)[0] <= 0.0:
         return None

@@ -75,16 +75,14 @@ class Term:
     @property
     def over(self) -> str:
         """The free curve over the variable that it depends on; "" of a constant."""
-        friction = self.acts == "friction"
         if self.acts == "sensor":
             return "curve_sensor"
-        if "other" in self.formula:
-            return "curve_other_friction" if friction else "curve_other"
-        if "angle" in (*re.findall(r"\w+", self.formula), self.follows):
-            return "curve_angle_friction" if friction else "curve_angle"
-        by = {"carried": "curve_load_friction", "since": "curve_reversal", "time": "curve_time_friction"}
-        which = next((curve for word, curve in by.items() if word in self.formula), "curve_speed")
-        return "" if self.formula == "{size}" and not friction else which
+        words = {*re.findall(r"\w+", self.formula), self.follows}
+        friction = "_friction" if self.acts == "friction" else ""
+        over = {"other": f"curve_other{friction}", "angle": f"curve_angle{friction}", "carried": "curve_load_friction",
+                "since": "curve_reversal", "time": "curve_time_friction", "speed": "curve_speed"}  # fmt: skip
+        by_itself = "" if self.acts == "torque" else "curve_speed"  # friction and damping act against the motion
+        return next((curve for word, curve in over.items() if word in words), by_itself)
 
 
 @dataclass(frozen=True)

@@ -99,12 +99,7 @@ class MissingForce:
 
 
 def missing_force(
-    model: Model,
-    plays: Sequence[Play],
-    part: AxisPart,
-    nthread: int = 0,
-    passes: int = PASSES,
-    at_load: bool = False,
+    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, passes: int = PASSES, at_load: bool = False
 ) -> MissingForce:
     """The force that one axis lacks.
 
@@ -124,16 +119,18 @@ def missing_force(
     first = np.concatenate([[0], np.cumsum(sizes)])
     forces = [np.zeros(playing.count(p)) for p in range(len(plays))]
     nodes_of = [_nodes(playing.evidence[p].times(0)) for p in range(len(plays))]
+    samples_of = [owner[search.used] == p for p in range(len(plays))]
     first_residuals: Array | None = None
     smoothness, least, share = 1.0, np.inf, 1.0
     accepted = target = forces
     answers: list[PlayAnswer] = []
     for _ in range(passes):
-        parts = []
-        for p in range(len(plays)):
-            of_play = owner[search.used] == p
-            used, scale = search.used[of_play] - first[p], search.scale[of_play]
-            parts.append(_linearised(playing, p, forces[p], nodes_of[p], used, scale, search.spans))
+        parts = [
+            _linearised(
+                playing, p, forces[p], nodes_of[p], search.used[own] - first[p], search.scale[own], search.spans
+            )
+            for p, own in enumerate(samples_of)
+        ]
         rolled_out = np.concatenate([about.rolled_out for about in parts])
         cost = float(np.mean(rolled_out**2))
         if first_residuals is None:
@@ -148,14 +145,14 @@ def missing_force(
         least, share, accepted = cost, 1.0, forces
         answers, target = [], []
         for p, about in enumerate(parts):
-            of_play = owner[search.used] == p
+            own = samples_of[p]
             force, band = _smoothed(about.residuals, about.answer, smoothness)
             target.append(np.interp(playing.evidence[p].times(0), about.nodes, force))
             answers.append(
                 PlayAnswer(
                     about.motion, about.nodes, about.residuals, about.answer, about.base,
-                    search.evidence.time[search.used][of_play], search.signal[of_play], folds[search.used][of_play],
-                    search.scale[of_play], force, band,
+                    search.evidence.time[search.used][own], search.signal[own], folds[search.used][own],
+                    search.scale[own], force, band,
                 )
             )  # fmt: skip
         forces = target
