@@ -6,8 +6,8 @@
 Of three cases in a row one is a healthy rig, one has something outside the library, and one has an effect of the
 library that is left out. Cases are those of benchmarks/drawn_rigs. One more command of another style is recorded, never
 fitted, and used to judge what is proposed: by how much the error falls there, compared with the true form fitted to the
-same plays, or with the noise if the library has no true form. Instead of a whole diagnosis only the base values are
-refitted before: quickly, or with --thorough from as many starts as in a diagnosis. Seeds below 100000 are for tuning.
+same plays, or with the noise if the library has no true form. The diagnosis before has no effects to choose from, so
+that it says "complete" or "unknown". Seeds below 100000 are for tuning.
 
 An interrupted run keeps its results: the JSON file is rewritten after each case, and --continue resumes the run.
 """
@@ -26,7 +26,7 @@ import numpy as np
 from counting import VISIBLE, wilson
 from diagnosis import earlier, write
 from drawn_rigs.cases import Case, draw
-from drawn_rigs.reading import Dependence, Model, Play, floors_on, loaded, propose_on, with_effect_fitted
+from drawn_rigs.reading import Dependence, Model, Play, Proposal, floors_on, law_of, loaded, with_effect_fitted
 
 TUNING = 100_000
 KINDS = ("healthy", "outside", "left_out")
@@ -61,7 +61,7 @@ RIGHT = {
 Record = dict[str, Any]
 
 
-def judge(seed: int, threads: int, thorough: bool, effect: str | None) -> Record:
+def judge(seed: int, threads: int, effect: str | None) -> Record:
     """One case from its bags to what is proposed."""
     started = time.process_time()
     kind = KINDS[seed % len(KINDS)]
@@ -69,30 +69,20 @@ def judge(seed: int, threads: int, thorough: bool, effect: str | None) -> Record
         case = draw(seed, Path(folder), kind=kind, effect=None if kind == "healthy" else effect, fresh=True)
         record: Record = {**case.to_json(), "visibility": min((h.visibility for h in case.hidden), default=0.0)}
         try:
-            record |= _said(case, threads, thorough)
+            record |= _said(case, threads)
         except Exception as error:  # a case that crashes is a result, and the others still run
-            record |= {"error": f"{type(error).__name__}: {error}", "proposals": []}
+            record |= {"error": f"{type(error).__name__}: {error}", "proposal": None}
     return record | {"seconds": time.process_time() - started}
 
 
-def _said(case: Case, threads: int, thorough: bool) -> Record:
+def _said(case: Case, threads: int) -> Record:
     model, plays = loaded(case.model, case.bags)
-    base, proposals = propose_on(model, plays, threads, case.seed, thorough)
+    verdict, base, proposal = law_of(model, plays, threads, case.seed)
     other = loaded(case.model, case.fresh)[1] if case.fresh else []
-    entries = []
-    for proposal in proposals:
-        first = proposal.depends.first
-        one: Record = {
-            "axis": proposal.axis, "place": proposal.place, "kind": proposal.kind, "equation": proposal.equation,
-            "curve": _named(first) if first else "", "variable": first.variable if first else "",
-            "period": first.period if first else None,
-            "ties": [_named(d) for d in proposal.depends.ties], "share": first.share if first else 0.0,
-            "chance": proposal.depends.chance, "floors": list(proposal.missing.floors),
-        }  # fmt: skip
-        if other and proposal.model is not None:
-            one["other_command"] = [floors_on(m, other, proposal.axis, threads) for m in (base, proposal.model)]
-        entries.append(one)
-    record: Record = {"proposals": entries}
+    record: Record = {"verdict": verdict, "proposal": _told(proposal) if proposal else None}
+    if other and proposal and proposal.model is not None:
+        on_other = [floors_on(m, other, proposal.axis, threads) for m in (base, proposal.model)]
+        record["proposal"]["other_command"] = on_other
     axis = _axis(model, case)
     if other and axis:
         record["base_on_other"] = floors_on(base, other, axis, threads)
@@ -100,6 +90,17 @@ def _said(case: Case, threads: int, thorough: bool) -> Record:
         if case.kind == "left_out" and record["base_on_own"] > SHOWS:
             record["true_on_other"] = floors_on(_true_form(base, plays, axis, case, threads), other, axis, threads)
     return record
+
+
+def _told(proposal: Proposal) -> Record:
+    depends = proposal.depends
+    first = depends.first
+    return {
+        "axis": proposal.axis, "place": proposal.place, "kind": proposal.kind, "equation": proposal.equation,
+        "curve": _named(first) if first else "", "variable": first.variable if first else "",
+        "period": first.period if first else None, "ties": [_named(d) for d in depends.ties],
+        "share": first.share if first else 0.0, "chance": depends.chance, "floors": list(proposal.missing.floors),
+    }  # fmt: skip
 
 
 def _named(dependence: Dependence) -> str:
@@ -135,7 +136,7 @@ def figures(records: Sequence[Record]) -> dict[str, Any]:
         "variable_among_shown": [_is_among(r) for r in shown if r["hidden"][0]["effect"] in RIGHT],
         "half_of_true_form": [h for r in visible if (h := _is_half(r)) is not None],
         "half_of_true_form_shown": [h for r in shown if (h := _is_half(r)) is not None],
-        "healthy_silent": [not any(p["kind"] for p in r["proposals"]) for r in healthy],
+        "healthy_silent": [not (r["proposal"] and r["proposal"]["kind"]) for r in healthy],
         "period_right": [e <= PERIOD for e in errors],
         "failed": ["error" in r for r in records],
     }.items():
@@ -171,16 +172,15 @@ def _is_half(record: Record) -> bool | None:
 
 
 def _of(record: Record) -> Record:
-    """The proposal for the axis on which something is hidden; empty if there is none."""
-    place = record["hidden"][0]["place"]
-    own = [p for p in record["proposals"] if p["axis"] == place or p["axis"] == place.rpartition("_")[2]
-           or place.startswith(p["axis"])]  # fmt: skip
-    return own[0] if own else {}
+    """The proposal, if it is for the axis on which something is hidden; else empty."""
+    place, proposal = record["hidden"][0]["place"], record["proposal"]
+    mine = proposal and (proposal["axis"] in (place, place.rpartition("_")[2]) or place.startswith(proposal["axis"]))
+    return proposal if mine else {}
 
 
 def judged(seeds: Sequence[int], given: argparse.Namespace) -> Iterator[Record]:
     """Cases as they are done."""
-    judge_one = partial(judge, threads=given.threads, thorough=given.thorough, effect=given.effect)
+    judge_one = partial(judge, threads=given.threads, effect=given.effect)
     if given.workers == 1:
         yield from map(judge_one, seeds)
         return
@@ -195,7 +195,6 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=12)
     parser.add_argument("--seed", type=int, default=TUNING, help="of the first case; the others follow")
     parser.add_argument("--effect", help="this effect only, outside the library or of it; healthy rigs stay healthy")
-    parser.add_argument("--thorough", action="store_true", help="refit base values as a diagnosis does")
     parser.add_argument("--threads", type=int, default=1, help="of each case; 0 for one per CPU")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side")
     parser.add_argument("--json", type=Path)
@@ -205,17 +204,20 @@ def main() -> None:
         parser.error("--continue needs --json with the file of an earlier run.")
     if given.seed < TUNING:
         print(f"Note: seeds below {TUNING} are for tuning; these figures flatter the result.")
-    settings = {"seed": given.seed, "effect": given.effect, "thorough": given.thorough}
+    settings = {"seed": given.seed, "effect": given.effect}
     records = earlier(given.json, settings) if given.goes_on else []
     done = {r["seed"] for r in records}
     seeds = [seed for seed in range(given.seed, given.seed + given.cases) if seed not in done]
     for number, record in enumerate(judged(seeds, given), start=1):
         records = sorted([*records, record], key=lambda r: r["seed"])
-        text = "; ".join(f"{p['axis']}: {p['curve'] or '-'} {p['kind']} {p['equation']} {p['floors'][0]:.3g} floors"
-                         for p in record["proposals"])  # fmt: skip
+        found = record["proposal"]
+        text = record.get("error") or record["verdict"]
+        if found:
+            law = f"{found['curve'] or '-'} {found['kind']} {found['equation']}"
+            text += f"; {found['axis']}: {law} {found['floors'][0]:.3g} floors"
         hidden = ", ".join(f"{h['effect']}.{h['place']}" for h in record["hidden"]) or "nothing"
         print(f"[{number}/{len(seeds)}] {record['seed']} {hidden} ({record['visibility']:.1f} x floor) -> "
-              f"{record.get('error') or text or 'silent'} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
+              f"{text} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
         if given.json:
             measured = figures(records)
             write(given.json, {**measured, **settings, "figures": measured, "cases": records})

@@ -10,7 +10,7 @@ from eps_tunnel_analysis.diagnose.addition import add_effects
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.law.depends import Dependence
-from eps_tunnel_analysis.law.proposal import Proposal, propose_on
+from eps_tunnel_analysis.law.proposal import Proposal, proposal_of
 from eps_tunnel_analysis.law.refit import floors_on, with_effect_fitted
 from eps_tunnel_analysis.recording.decode import read_all
 from eps_tunnel_analysis.recording.decode import typestore as _typestore
@@ -21,7 +21,7 @@ from labyrinth_sim.effect import effects
 from labyrinth_sim.model import Model, load_model
 
 __all__ = ["BagWriter", "Dependence", "Diagnosis", "Model", "Play", "Proposal", "add_effects", "diagnose", "floors_on",
-           "library_names", "loaded", "propose_on", "typestore", "with_effect_fitted"]  # fmt: skip
+           "law_of", "library_names", "loaded", "typestore", "with_effect_fitted"]  # fmt: skip
 
 
 @lru_cache(maxsize=1)
@@ -34,6 +34,12 @@ def loaded(model: Path, bags: Sequence[Path]) -> tuple[Model, list[Play]]:
     """A model and the plays of bags, as the command line reads them, at the rig's own rate."""
     known = load_model(model)
     return known, list(to_plays(read_all(bags), known.rig, rate=1.0 / known.rig.sample_time).plays)
+
+
+def law_of(model: Model, plays: Sequence[Play], threads: int, seed: int) -> tuple[str, Model, Proposal | None]:
+    """The verdict of a diagnosis that has no effects to choose from, the refitted model, and what is proposed."""
+    diagnosis = diagnose(model, plays, seed=seed, only=(), nthread=threads, experiments=False)
+    return diagnosis.verdict.verdict, diagnosis.base_model, proposal_of(diagnosis, plays, threads, seed)
 
 
 def library_names() -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, floor_known, hypothesis
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, moved_parts, search_of
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, search_of
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate, with_curves
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, rank
@@ -32,7 +32,7 @@ from eps_tunnel_analysis.law.missing_force import (
     missing_offset,
     trial_offsets,
 )
-from eps_tunnel_analysis.law.refit import Visit, floors_on, quick_bases, thorough_bases, visit, worst_on
+from eps_tunnel_analysis.law.refit import Visit, floors_on, visit
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
@@ -453,23 +453,6 @@ def also_missing(
         sides = ([False] if name != most else []) + ([True] if model.rig.axis(name).belt else [])
         forces += [missing_force(model, plays, part, nthread, at_load=side) for side in sides]
     return tuple(forces)
-
-
-def propose_on(
-    model: Model, plays: Sequence[Play], nthread: int = 0, seed: int = 0, thorough: bool = False
-) -> tuple[Model, list[Proposal]]:
-    """The model with its base values refitted, and what is proposed for each axis that leaves more than noise.
-
-    Without the search for an effect of the library, which a diagnosis does.
-
-    Args:
-        thorough: refit base values as a diagnosis does, from many starts.
-    """
-    alone = [without_ball(p) for p in plays]
-    parts = moved_parts(model, axis_parts(model, alone), alone)
-    base = (thorough_bases if thorough else quick_bases)(model, alone, parts, nthread)
-    wanting = [part for part in parts if worst_on(base, alone, part, nthread) > SETTINGS.healthy]
-    return base, [propose(base, alone, part, nthread, seed) for part in wanting]
 
 
 def ratios(rig: Rig, axis: str) -> dict[str, float]:

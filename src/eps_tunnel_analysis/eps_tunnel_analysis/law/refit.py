@@ -12,21 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.base_values import fitted_bases
-from eps_tunnel_analysis.diagnose.rank import worst_floors
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.law.added_force import Motion
 from eps_tunnel_analysis.law.depends import Dependence
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Shape, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from eps_tunnel_analysis.simulated import Play
-from labyrinth_sim.build import axes_couple
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import Axis
 from labyrinth_sim.trials import Array
 
-DELAYS = (0.005, 0.015, 0.025, 0.035)  # s, tried in addition to the model's own: no descent leaves a wrong one
 FIRST, LAST = 4, 6  # rounds of descent
 TRIED = 4  # starts of an effect that are descended
 
@@ -39,27 +35,6 @@ SLOWEST, QUICKEST = 0.25, 3.0  # Hz, of triangles
 AT_ONE_SPEED = 2.0  # s at one speed
 SWEEP = 4.0  # s for one slow sweep over all angles
 PAUSES = (0.15, 0.4, 1.0)  # s between reversals
-
-
-def quick_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], nthread: int = 0) -> Model:
-    """A model with the base values of every axis refitted from its own, at a tenth of a diagnosis's roll-outs."""
-    for _ in range(2 if len(parts) > 1 and axes_couple(model) else 1):
-        for part in parts:
-            search = axis_search(model, plays, part, SearchOptions((), nthread))
-            starts = [search.start]
-            for column in (search.library.names.index(n) for n in part.base if n.endswith(".delay")):
-                for delay in DELAYS:
-                    starts.append(search.start.copy())
-                    starts[-1][column] = np.clip(delay, search.low[column], search.high[column])
-            early = sorted(search.refit([((), s) for s in starts], FIRST, rough=False), key=lambda r: r.cost)[:2]
-            late = search.refit([((), r.values) for r in early], LAST, "fine")
-            model = _with_base(model, search, min(late, key=lambda r: r.cost).values)
-    return model
-
-
-def thorough_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], nthread: int = 0) -> Model:
-    """The same, with all the starts of a diagnosis."""
-    return model.with_values(fitted_bases(model, plays, parts, SearchOptions((), nthread)).values, "refitted")
 
 
 def _with_base(model: Model, search: Search, values: Array) -> Model:
@@ -82,22 +57,11 @@ def with_effect_fitted(model: Model, plays: Sequence[Play], axis: str, name: str
     return result.with_values({n: fitted[n] for n in own.parameters}, "fitted")
 
 
-def worst_on(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0) -> float:
-    """Floors that a model leaves of the worst signal of an axis in plays, nothing being fitted."""
-    search, residuals = _as_it_is(model, plays, part, nthread)
-    return worst_floors(residuals, search.signal)
-
-
 def floors_on(model: Model, plays: Sequence[Play], axis: str, nthread: int = 0) -> float:
     """Mean square in units of the noise floor that a model leaves of an axis in plays, nothing being fitted."""
     part = next(p for p in axis_parts(model, plays) if p.name == axis)
-    return float(np.mean(_as_it_is(model, plays, part, nthread)[1] ** 2))
-
-
-def _as_it_is(model: Model, plays: Sequence[Play], part: AxisPart, nthread: int) -> tuple[Search, Array]:
-    """A search over nothing, and the (R,) residuals of the model at its own values."""
     search = axis_search(model, plays, part, SearchOptions((), nthread))
-    return search, search.residuals(search.start[None], "exact")[0]
+    return float(np.mean(search.residuals(search.start[None], "exact") ** 2))
 
 
 @dataclass(frozen=True)
