@@ -19,14 +19,14 @@ def case(effect="cogging", curve="curve_angle", visibility=10.0, period=0.0, oth
     said = {"axis": "x", "curve": curve, "period": period * 1.01 or None, "kind": "formula", "ties": []}
     said |= {"other_command": other} if other else {}
     hidden = {"effect": effect, "place": "x", "period": period}
-    return {"kind": "outside", "visibility": visibility, "hidden": [hidden], "proposals": [said], "base_on_own": 9.0,
-            **more}  # fmt: skip
+    return {"kind": "outside", "visibility": visibility, "hidden": [hidden], "proposal": said, "base_on_own": 9.0,
+            "verdict": "unknown", **more}  # fmt: skip
 
 
 def test_a_variable_is_right_wrong_or_not_said():
-    silent = case() | {"proposals": [], "base_on_own": 1.0}
+    silent = case() | {"proposal": None, "base_on_own": 1.0}
     tied = case("quadratic_drag", "curve_angle")
-    tied["proposals"][0]["ties"] = ["curve_speed"]
+    tied["proposal"]["ties"] = ["curve_speed"]
     found = figures([case(), case(curve="curve_speed"), silent, tied, case(visibility=1.0), case("loose_mount", "")])
     assert (found["variable_right"], found["variable_right_n"]) == (pytest.approx(1 / 4), 4)
     assert (found["variable_right_shown"], found["variable_right_shown_n"]) == (pytest.approx(1 / 3), 3)
@@ -54,8 +54,8 @@ def test_half_of_the_true_form_is_counted_on_the_other_command():
 
 
 def test_healthy_rigs_and_periods():
-    quiet = {"kind": "healthy", "visibility": 0.0, "hidden": [], "proposals": []}
-    loud = quiet | {"proposals": [{"axis": "x", "kind": "curve"}]}
+    quiet = {"kind": "healthy", "visibility": 0.0, "hidden": [], "verdict": "complete", "proposal": None}
+    loud = quiet | {"proposal": {"axis": "x", "kind": "curve"}}
     found = figures([quiet, loud, quiet, case(period=0.3)])
     assert (found["healthy_silent"], found["healthy_silent_n"]) == (pytest.approx(2 / 3), 3)
     assert found["period_error"] == pytest.approx(0.01) and found["period_right"] == 1.0
@@ -70,7 +70,7 @@ def test_a_case_is_the_same_with_another_command_and_the_effect_can_be_chosen(tm
 
 
 def test_the_file_has_each_key_at_its_top_with_count_and_interval(tmp_path, monkeypatch):
-    records = [case(period=0.3) | {"seed": 100_000, "seconds": 1.0, "proposals": []}]
+    records = [case(period=0.3) | {"seed": 100_000, "seconds": 1.0, "proposal": None}]
     monkeypatch.setattr(law, "judged", lambda seeds, given: iter(records))
     monkeypatch.setattr(
         sys, "argv", ["law.py", "--cases", "1", "--seed", "100000", "--json", str(tmp_path / "out.json")]
