@@ -204,10 +204,22 @@ def test_an_effect_is_named_instead_of_one_that_it_contains_where_it_explains_mo
     unit = smooth_noise(SAMPLES, 0)
     costs = {(): 50.0, ("a.x",): 4.0, ("b.x",): 1.0}
     base, narrow, wide = (hypothesis(effects, np.sqrt(cost) * unit) for effects, cost in costs.items())
-    wide, close = replace(wide, contains=(frozenset(["a.x"]),)), hypothesis(("a.x",), np.sqrt(1.2) * unit)
+    wide = replace(wide, contains=(frozenset(["a.x"]),), refit=replace(wide.refit, free=narrow.refit.free + 1))
+    close = hypothesis(("a.x",), np.sqrt(1.2) * unit)
     folds, runs = np.arange(SAMPLES) * FOLDS // SAMPLES, np.zeros(SAMPLES, dtype=np.int64)
     assert rank(base, [narrow, wide], folds, runs, 10).marginals["b.x"] > 0.9
     assert rank(base, [close, wide], folds, runs, 10).marginals["a.x"] > 0.7
+
+
+def test_of_two_forms_of_an_effect_that_explain_alike_the_number_of_values_decides() -> None:
+    """A hidden effect has the general form as often as the simple one, and often nothing shows the difference."""
+    unit = smooth_noise(SAMPLES, 0)
+    base, narrow, wide = (hypothesis(e, np.sqrt(c) * unit) for e, c in (((), 50.0), (("a.x",), 2.0), (("b.x",), 1.9)))
+    wide = replace(wide, contains=(frozenset(["a.x"]),), refit=replace(wide.refit, free=narrow.refit.free + 1))
+    folds, runs = np.arange(SAMPLES) * FOLDS // SAMPLES, np.zeros(SAMPLES, dtype=np.int64)
+    found = rank(base, [narrow, wide], folds, runs, 10).marginals
+    worth = rank_module.independent(unit, runs)
+    assert found["a.x"] / found["b.x"] == pytest.approx(np.sqrt(worth), rel=0.15)
 
 
 def test_of_two_that_explain_alike_the_one_whose_values_are_near_what_is_stated_is_likelier() -> None:

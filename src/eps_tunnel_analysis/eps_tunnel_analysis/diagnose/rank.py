@@ -309,12 +309,13 @@ def _probabilities(
         return 1.0 - lacking, remaining, lacking
     known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # because no form is exact
     before = np.maximum(base, level)
+    beyond_noise = np.maximum(before - 1.0, 0.0)
+    kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
+    scores = _no_better_than_simpler(hypotheses, scores, remaining, beyond_noise, kept)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
-    beyond_noise = np.maximum(before - 1.0, 0.0)
-    kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
     scores += np.log(np.maximum(_needed(hypotheses, base, remaining, beyond_noise, kept, floor), 1e-300))
     # A value far from the stated one counts as evidence like a misfit.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
@@ -353,7 +354,7 @@ def _surprise(cost: Array) -> Array:
 def _needed(
     hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, floor: bool
 ) -> Array:
-    """(d, h) how far each hypothesis explains materially more than each of those that it contains, or the base.
+    """(d, h) how far each hypothesis explains materially more than each of fewer effects that it contains, or the base.
 
     If the floor shows how much is missing, an effect that explains none of it is no better than something unknown, and
     many of these must not outweigh the one that does. Without a floor, effects are compared with one another.
@@ -365,14 +366,37 @@ def _needed(
     needed = np.ones_like(costs)
     sets = [frozenset(h.refit.effects) for h in hypotheses]
     for i, h in enumerate(hypotheses):
-        smaller = [j for j, other in enumerate(sets) if other < sets[i] or other in h.contains]
+        smaller = [j for j, other in enumerate(sets)
+                   if len(other) < len(sets[i]) and (other < sets[i] or other in h.contains)]  # fmt: skip
         if not smaller and len(sets[i]) < 2 and not floor:
             continue
         simpler = [(costs[:, j], kept[j]) for j in smaller] or [(base, 1.0)]
         for cost, share in simpler:
-            least = np.maximum(SETTINGS.material, SETTINGS.share * share * misfit)
-            needed[:, i] = np.minimum(needed[:, i], _soft(np.log(np.maximum(cost - costs[:, i], 1e-12) / least)))
+            needed[:, i] = np.minimum(needed[:, i], _materially(cost - costs[:, i], misfit, share))
     return needed
+
+
+def _no_better_than_simpler(
+    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, misfit: Array, kept: Array
+) -> Array:
+    """Scores (d, h) with none above that of a simpler form of the same effects, unless it explains materially more.
+
+    Then the number of their values decides between the two forms.
+    """
+    sets = [frozenset(h.refit.effects) for h in hypotheses]
+    capped = scores.copy()
+    for i, h in enumerate(hypotheses):
+        for j in (j for j, other in enumerate(sets) if len(other) == len(sets[i]) and other in h.contains):
+            more = _materially(costs[:, j] - costs[:, i], misfit, kept[j])
+            alike = np.minimum(scores[:, i], scores[:, j])
+            capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
+    return capped
+
+
+def _materially(gain: Array, misfit: Array, kept: float) -> Array:
+    """(d,) from 0 to 1: how far gains (d,) in floors are more than what form alone may do."""
+    least = np.maximum(SETTINGS.material, SETTINGS.share * kept * misfit)
+    return _soft(np.log(np.maximum(gain, 1e-12) / least))
 
 
 def _curve_room(base: Array | float, curve: Array | float) -> Array:
