@@ -63,6 +63,21 @@ def test_a_value_reaches_a_truth_far_beyond_its_span_within_a_wider_box() -> Non
     assert np.allclose(found.z, [4.3, 0.3, 0.5], atol=1e-3)
 
 
+def test_at_a_minimum_a_descent_rests_at_once() -> None:
+    """No damping promises more than none: where the slopes promise nothing, none other is tried."""
+    above = np.random.default_rng(2).standard_normal(len(TIME))
+
+    def never_met(z, owners):
+        return response(z) - MEASURED - above
+
+    free = np.ones((1, 3), bool)
+    lowest = descend(never_met, np.full((1, 3), 0.4), free, rounds=60, tolerance=1e-12)
+    again = descend(never_met, lowest.z, free, rounds=60)
+    assert again.converged[0] and np.array_equal(again.z, lowest.z)
+    slopes, dampings = 3, len(lockstep.DAMPINGS)
+    assert again.evaluations == 1 + slopes + dampings
+
+
 def test_a_diverged_neighbourhood_does_not_poison_the_rest() -> None:
     def partly(z, owners):
         answer = residuals(z, owners)

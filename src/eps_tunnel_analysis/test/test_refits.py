@@ -10,6 +10,7 @@ import pytest
 from fit_cases import FREE, made_by, plays, start, step
 from fit_cases import TRUTH as SLOW
 
+from eps_tunnel_analysis.diagnose import base_values as base_values_module
 from eps_tunnel_analysis.diagnose import evidence as evidence_module
 from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
 from eps_tunnel_analysis.diagnose.axes import with_refits
@@ -23,7 +24,7 @@ from eps_tunnel_analysis.diagnose.axis import (
     tick_refits,
 )
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.base_values import along_valley
+from eps_tunnel_analysis.diagnose.base_values import along_valley, better_base
 from eps_tunnel_analysis.diagnose.evidence import Evidence, Residuals, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
@@ -297,6 +298,7 @@ def test_a_set_is_tried_again_at_the_base_values_of_a_better_one_that_has_an_eff
     one, other = (c.name for c in search.library.candidates)
     jobs: list[Job] = []
     monkeypatch.setattr(search, "judged", lambda given, rounds: jobs.extend(given) or [])
+    monkeypatch.setattr(search, "refit", lambda given, rounds: [refit(search, (), 2.0) for _ in given])
     stuck, both = refit(search, (one,), 4.0, share=0.3), refit(search, (one, other), 1.0)
     both.values[:] = 0.5 * (search.low + search.high)
     nested_refits(search, refit(search, (), 9.0), [stuck, both])
@@ -308,6 +310,19 @@ def test_a_set_is_tried_again_at_the_base_values_of_a_better_one_that_has_an_eff
     assert np.array_equal(fitted[(one,)][kept], both.values[kept])
 
 
+def test_a_set_that_leaves_far_more_without_one_of_its_effects_is_not_judged_without_it(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = search.library.candidates[0].name
+    judged: list[Job] = []
+    monkeypatch.setattr(search, "judged", lambda given, rounds: judged.extend(given) or [])
+    for left, many in ((4.0, 1), (6.0, 0)):
+        judged.clear()
+        monkeypatch.setattr(search, "refit", lambda given, rounds, left=left: [refit(search, (), left) for _ in given])
+        nested_refits(search, refit(search, (), 9.0), [refit(search, (name,), 1.0)])
+        assert len(judged) == many
+
+
 def test_the_base_is_tried_again_at_the_values_that_it_has_beside_an_effect(search: Search) -> None:
     right = search.judged([((), search.start)], 2)[0]
     beside = refit(search, ("load_friction.x",), 1.1 * right.cost, share=0.01)
@@ -315,6 +330,20 @@ def test_the_base_is_tried_again_at_the_values_that_it_has_beside_an_effect(sear
     base, _ = nested_refits(search, refit(search, (), 100.0 * right.cost), [beside])
     assert base.effects == ()
     assert base.cost < 1.02 * right.cost
+
+
+@pytest.mark.parametrize(("best", "left", "again"), [(60.0, 100.0, True), (1.0, 100.0, False), (1.0, 50.0, True)])
+def test_another_valley_of_a_hopeless_base_counts_only_if_it_is_deeper(
+    search: Search, monkeypatch: pytest.MonkeyPatch, best: float, left: float, again: bool
+) -> None:
+    begun: list[int] = []
+    base, elsewhere = refit(search, (), 100.0), refit(search, (), left)
+    elsewhere.values[0] += 0.5 * search.spans[0]
+    monkeypatch.setattr(search, "refit", lambda jobs, rounds, rough: [elsewhere for _ in jobs])
+    monkeypatch.setattr(base_values_module, "base_from", lambda search, points: begun.append(len(points)) or elsewhere)
+    better = better_base(search, base, [elsewhere.values], best)
+    assert begun == ([1] if again else [])
+    assert better is (elsewhere if again and left < base.cost else base)
 
 
 def test_in_the_end_values_make_up_for_the_steps_that_the_model_makes(search: Search) -> None:

@@ -15,6 +15,7 @@ from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, ran
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import (
     FEW_STARTS,
+    OUT_OF_REACH,
     SHORTLIST,
     Job,
     Refit,
@@ -165,7 +166,9 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
     if it still does, it has not converged. And one more effect may have helped only because the drive's values left a
     wrong valley along with it, so these values are also tried without it.
     """
-    jobs = _without_one(search, refits)
+    fewer = _without_one(search, refits)
+    reach = OUT_OF_REACH * max(1.0, lowest([base, *refits]).cost)
+    jobs = [job for job, r in zip(fewer, search.refit(fewer, ROUNDS), strict=True) if r.cost < reach]
     for refit in refits:
         for smaller in (base, *refits):
             if refit.cost <= MISFITTED * smaller.cost:
@@ -354,7 +357,8 @@ def refitted_sets(
     if search.library.candidates and (not floor or worst > SETTINGS.close * allowed):
         refits = next_refits(search, [base], more=stated_jobs(search, base))
         # An effect must not be named only because it led to a better start of the base.
-        base = better_base(search, base, [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]])
+        points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
+        base = better_base(search, base, points, lowest([base, *refits]).cost)
         refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
         base, refits = refined(search, base, refits)
         best = lowest([base, *refits])

@@ -10,7 +10,7 @@ from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.search import STANDS, Refit, Search
+from eps_tunnel_analysis.diagnose.search import HOPELESS, STANDS, Refit, Search
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
@@ -48,41 +48,55 @@ class Bases:
         return {n: self.values[n] for n in part.base} if part.base and set(part.base) <= set(self.values) else None
 
 
-def fitted_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions) -> Bases:
+def fitted_bases(
+    model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions, roughly: bool = False
+) -> Bases:
     """The base values of every axis, each fitted while the others move as simulated; then coupled axes together.
 
     An axis that is coupled to another one with a wrong drive moves wrongly with it.
+
+    Args:
+        roughly: as start values for diagnoses of each axis, and of coupled axes together, which fit them on.
     """
     chosen = [p for p in parts if p.base]
+    groups = [group for group in joined(model, chosen) if len(group.axes) > 1]
+    coupled = {name for group in groups for name in group.axes}
+    if roughly and len(groups) == 1 and len(coupled) == len(chosen):
+        groups = []  # its diagnosis is all that follows
     bases = Bases()
-    for together in (chosen, [group for group in joined(model, chosen) if len(group.axes) > 1]):
+    for together in ([(p, roughly or p.name in coupled) for p in chosen], [(group, roughly) for group in groups]):
         fits = side_by_side(partial(_fitted, model, plays, bases), together, run)
         bases = Bases({n: v for one in (bases, *fits) for n, v in one.values.items()},
                       bases.evaluations + sum(one.evaluations for one in fits))  # fmt: skip
     return bases
 
 
-def _fitted(model: Model, plays: Sequence[Play], bases: Bases, part: AxisPart, run: SearchOptions) -> Bases:
-    """The base values of one part, while the other parts have the values of `bases`."""
+def _fitted(
+    model: Model, plays: Sequence[Play], bases: Bases, part_roughly: tuple[AxisPart, bool], run: SearchOptions
+) -> Bases:
+    """The base values of one part, roughly or not, while the other parts have the values of `bases`."""
+    part, roughly = part_roughly
     search = axis_search(bases.among(model, part), plays, part, replace(run, only=()))
-    refit = base_refit(search, bases.known(part))
+    refit = base_refit(search, bases.known(part), roughly)
     values = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
     return Bases(values, search.evaluations)
 
 
-def base_refit(search: Search, known: Mapping[str, float] | None = None) -> Refit:
+def base_refit(search: Search, known: Mapping[str, float] | None = None, roughly: bool = False) -> Refit:
     """The base values alone: descended from the model's own and from the best of many others.
 
     Delay and D can compensate for each other, and a base stuck in the wrong valley makes any effect look good.
 
     Args:
         known: values from an earlier search; the descent continues from these.
+        roughly: only in the best valley, judged by the fine level.
     """
     if known is None:
-        return base_from(search, base_starts(search, search.start, BASE_STARTS), first=True)
-    again = search.start.copy()
-    again[: len(search.library.base)] = [known[name] for name in search.library.base]
-    return base_from(search, [again], first=True)
+        points = base_starts(search, search.start, BASE_STARTS)
+    else:
+        points = [search.start.copy()]
+        points[0][: len(search.library.base)] = [known[name] for name in search.library.base]
+    return _in_valley(search, points, first=True) if roughly else base_from(search, points, first=True)
 
 
 def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
@@ -104,10 +118,10 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     return chosen[:keep]
 
 
-def base_from(search: Search, points: Sequence[Array], first: bool = False) -> Refit:
-    """The base values alone, descended from (K,) values whose effects do not count.
+def _in_valley(search: Search, points: Sequence[Array], first: bool) -> Refit:
+    """The base values alone, descended at the fine level from the best valley among (K,) values.
 
-    From several points the best valley is searched first; a single one is assumed to lie in it.
+    A single point is assumed to lie in it.
 
     Args:
         first: nothing was refitted before; then the noise floor is settled, too.
@@ -124,7 +138,16 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
         search.see_ticks(finer[0].values)
     search.feel(finer[0])
     last = search.refit([((), r.values) for r in finer], BASE_ROUNDS, "fine")
-    best_of_all = min(last, key=lambda r: r.objective)
+    return min(last, key=lambda r: r.objective)
+
+
+def base_from(search: Search, points: Sequence[Array], first: bool = False) -> Refit:
+    """The base values alone, descended from (K,) values whose effects do not count; the search is settled there.
+
+    Args:
+        first: nothing was refitted before; then the noise floor is settled, too.
+    """
+    best_of_all = _in_valley(search, points, first)
     search.refine_at(best_of_all.values)
     result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
     if first and worst_floors(result.residuals, search.signal) > 1.0:
@@ -133,9 +156,13 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
         if worst_floors(result.residuals, search.signal) < 1.0:
             break
         search.settle_at(result)
-        away = search.refit([((), point) for point in along_valley(search, result)], BASE_ROUNDS) if not number else []
+        if number:
+            going = [result]
+        else:
+            away = search.refit([((), point) for point in along_valley(search, result)], BASE_ROUNDS)
+            going = [r for r in away if r.objective < result.objective]
         before = result
-        finished = search.judged([((), r.values) for r in (result, *away)], BASE_ROUNDS)
+        finished = search.judged([((), r.values) for r in going], BASE_ROUNDS)
         result = min([before, *finished], key=lambda r: r.objective)
         if result.objective > (1.0 - STANDS) * before.objective:
             break
@@ -178,17 +205,27 @@ def best_valleys(search: Search, starts: Sequence[Array]) -> list[Refit]:
     return sorted(finer, key=lambda r: r.objective)[:BASE_FINALISTS]
 
 
-def better_base(search: Search, base: Refit, points: Sequence[Array]) -> Refit:
-    """The base descended from those (K,) values that lie elsewhere, if it fits better; the search is settled there."""
+def better_base(search: Search, base: Refit, points: Sequence[Array], best: float) -> Refit:
+    """The base descended from those (K,) values that lie elsewhere, if it fits better; the search is settled there.
+
+    Args:
+        best: floors that the best set of effects leaves. Of a base that leaves many times more, another valley counts
+            only if it is clearly deeper.
+    """
     size = len(search.library.base)
     starts = [np.concatenate([point[:size], search.start[size:]]) for point in points] if size else []
     span = search.spans[:size]
     apart = STANDS * max(1.0, base.objective)
+    near = base.cost < HOPELESS * max(1.0, best)
     elsewhere = [
         r.values
         for r in search.refit([((), start) for start in starts], BASE_ROUNDS, rough=False)
         if r.objective < base.objective - apart
-        or (r.objective < base.objective + apart and np.any(np.abs(r.values - base.values)[:size] > APART * span))
+        or (
+            near
+            and r.objective < base.objective + apart
+            and np.any(np.abs(r.values - base.values)[:size] > APART * span)
+        )
     ]
     again = base_from(search, elsewhere) if elsewhere else base
     if again.cost < base.cost:

@@ -67,7 +67,7 @@ def diagnose(
     run = SearchOptions(tuple(on_axes) if only is not None else None, nthread, count, spread)
 
     # Each axis by itself while the others move as simulated; coupled axes together.
-    bases = fitted_bases(model, alone, moved, run) if len(moved) > 1 else Bases()
+    bases = fitted_bases(model, alone, moved, run, roughly=True) if len(moved) > 1 else Bases()
     axes = side_by_side(
         lambda part, run: diagnose_axis(model, alone, part, run, part.level(levels), bases), joined(model, moved), run
     )

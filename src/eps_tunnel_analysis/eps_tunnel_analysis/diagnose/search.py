@@ -26,7 +26,7 @@ from labyrinth_sim.trials import Array
 
 DIFFERENCE = 1e-3  # finite differences to begin with, normalised
 RESPONSE = 0.5  # noise floors by which they then change the residuals: visible over the roughness of stiction and ticks
-TOLERANCE = 2e-3  # relative gain of a round below which a descent rests
+TOLERANCE = 2e-3  # relative gain of a round below which a descent rests, if nothing else is asked
 AT_ONCE = 256  # roll-outs of one batch of trial points
 FEW_STARTS = 20
 SHORTLIST = 5  # sets of effects refitted from their trial points; this many are never given up
@@ -342,14 +342,16 @@ class Search:
         return [column for column in (self._column[name] for name in names) if not (self._idle | self.sharp)[column]]
 
     def refit(
-        self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None, rough: bool = True
-    ) -> list[Refit]:
+        self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,
+        rough: bool = True, tolerance: float = TOLERANCE,
+    ) -> list[Refit]:  # fmt: skip
         """Descends jobs side by side, all of them to the end.
 
         Args:
             jobs: the candidates to fit together with the base values, and (K,) values to start from.
             shifts: (jobs, R) added to each one's residuals.
             rough: move also the base values that are known roughly.
+            tolerance: relative gain of a round below which a descent rests.
         """
         if not jobs:
             return []
@@ -370,7 +372,7 @@ class Search:
         size = len(self.used)
         z0 = (np.array([start for _, start in jobs]) - self.low) / self.spans
         cheaper = partial(scaled, level="coarse") if level != "coarse" else None
-        result = descend(scaled, z0, free, rounds, self.difference, TOLERANCE, response=RESPONSE, slopes=cheaper,
+        result = descend(scaled, z0, free, rounds, self.difference, tolerance, response=RESPONSE, slopes=cheaper,
                          width=width)  # fmt: skip
         values = np.clip(self.low + result.z * self.spans, self.low, self.high)
         return [
@@ -442,9 +444,8 @@ class Search:
             refits = [self.as_run(refit)]
             if "own" in self.levels:
                 starts = self._along_weakest(refit) + self.beside_stated([refit], VALLEY_ROUNDS, "own")
-                refits += self.refit(
-                    [(self.library.of(refit.effects), point) for point in starts], VALLEY_ROUNDS, "own"
-                )
+                jobs = [(self.library.of(refit.effects), point) for point in starts]
+                refits += self.refit(jobs, VALLEY_ROUNDS, "own", tolerance=STANDS / VALLEY_ROUNDS)
             self._valleys[key] = tuple(sorted(refits, key=lambda r: r.objective))
         return self._valleys[key]
 

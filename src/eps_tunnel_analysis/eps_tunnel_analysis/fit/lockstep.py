@@ -132,12 +132,13 @@ def descend(
         for row, b in enumerate(active):
             winner = int(np.argmin(costs[row]))
             if costs[row, winner] >= cost[b]:
-                if cheap[b] and _promise(z[b], at[b], *jacobians[b], widths) > LEAST_PROMISE * tolerance:
+                promise = _promise(z[b], at[b], *jacobians[b], widths)
+                if cheap[b] and promise > LEAST_PROMISE * tolerance:
                     cheap[b] = False
                     del jacobians[int(b)]
                     continue
                 damping[b] *= 30.0
-                if damping[b] > 1e6:
+                if damping[b] > 1e6 or promise < tolerance:  # more damping promises even less
                     stuck(int(b))
                 continue
             gain = 1.0 - costs[row, winner] / cost[b]
