@@ -417,7 +417,8 @@ def _by_trust_region(rig: Rig, before: Reality, shown: Array, view: View, axis: 
     def apart(moved: Array) -> Array:
         nonlocal least
         reality = before
-        for loose, value in zip(values, np.where(free, own * np.exp(moved), own + scale * moved), strict=True):
+        grown = own * np.exp(np.where(free, moved, 0.0))
+        for loose, value in zip(values, np.where(free, grown, own + scale * moved), strict=True):
             reality = _with(reality, loose, float(value))
         try:
             rest = view.stacked(reality) - shown
