@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, rough_values
 from eps_tunnel_analysis.diagnose.base_values import base_refit
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import load_model
@@ -29,3 +29,10 @@ def test_how_gradually_the_models_friction_sets_in_is_refitted_where_it_shows(sl
     base = base_refit(search)
     assert base.values[column] == pytest.approx(slow, rel=0.5, abs=1e-9)
     assert (column in search.fitted(base)) == (slow > 0.0)
+
+
+def test_every_dry_friction_of_a_model_may_set_in_gradually() -> None:
+    model = load_model("pendulum").with_effect("direction_friction", "pendulum")
+    (axis,) = model.rig.axes
+    dry = [name for name in rough_values(model, axis) if name.endswith(".slow")]
+    assert dry == [SLOW, SLOW.replace("coulomb", "direction")]

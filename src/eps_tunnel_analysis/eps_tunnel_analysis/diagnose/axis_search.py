@@ -113,7 +113,7 @@ def axis_parts(model: Model, plays: Sequence[Play]) -> list[AxisPart]:
 def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
     """Stated values of an axis that are rarely known well: the drive's limits, the inertia that it turns, its belt.
 
-    A value stated as 0 stays 0, unless the drive itself declares it uncertain.
+    A value stated as 0 stays 0, unless the drive itself declares it uncertain, or dry friction sets in gradually by it.
     """
     mj = compiled(model, with_ball=False).mj
     body = mj.body(int(mj.joint(axis.load).bodyid[0])).name
@@ -122,8 +122,9 @@ def rough_values(model: Model, axis: Axis) -> tuple[str, ...]:
     names += [f"belt.{axis.belt}.{p}" for p in ("stiffness", "damping")] if axis.belt else []
     values = model.values()
     own = [full_name(axis, name) for name in model.drives[axis.name].kind.uncertain]
-    dry = f"coulomb_friction.{axis.name}.{SLOW.name}"
-    return (*own, *(n for n in names if n not in own and values.get(n, 0.0) > 0.0), *([dry] if dry in values else ()))
+    dry = [f"{use.effect.name}.{axis.name}.{SLOW.name}" for use in model.effects
+           if use.place == axis.name and SLOW in use.effect.parameters]  # fmt: skip
+    return (*own, *(n for n in names if n not in own and values.get(n, 0.0) > 0.0), *dry)
 
 
 def moved_parts(model: Model, parts: Sequence[AxisPart], plays: Sequence[Play]) -> list[AxisPart]:
