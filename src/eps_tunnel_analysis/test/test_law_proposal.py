@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
+from eps_tunnel_analysis.law import proposal as proposal_module
 from eps_tunnel_analysis.law.added_force import Playing
 from eps_tunnel_analysis.law.depends import Dependence, Depends
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
-from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_proposed, confirmed, propose
+from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_proposed, confirmed, propose, runs_away
 from eps_tunnel_analysis.outputs import json_text, plain
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import Chart, render
@@ -95,6 +96,25 @@ def test_another_command_confirms_what_is_proposed_or_not(proposal: Proposal, mo
     wrong = confirmed(proposal, [played(model, 2, slow=0.7)], nthread=1)
     assert wrong.confirmation is not None and not wrong.confirmation.holds
     assert not Confirmation(0.5, 0.4).holds  # nothing is left to explain there
+
+
+def test_a_law_that_runs_away_where_the_recordings_did_not_go_is_none(
+    model: Model, proposal: Proposal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert proposal.model is not None and proposal.visit is not None
+    command = proposal.visit.command
+    assert not runs_away(proposal.model, command)
+    terms = {term.name: term for term in dictionary(Design.of(missing_force(model, [played(model, 3)], PART, 1)))}
+
+    def with_term(name: str, size: str) -> Model:
+        chosen = Chosen(terms[name], {size: -50.0, "after": 0.02})
+        late = model.with_effect(declared(effect_file((chosen,), False)), "pendulum")
+        return late.with_values({f"proposed_effect.pendulum.{name}_{size}": -50.0})
+
+    assert runs_away(with_term("creeping", "stiffness"), command)
+    assert not runs_away(with_term("trailing", "damping"), command), "it must not drive the joint"
+    monkeypatch.setattr(proposal_module, "runs_away", lambda *_: True)
+    assert propose(model, [played(model.with_effect(WAVES, "pendulum"), 1)], PART, nthread=1).kind != "formula"
 
 
 def test_what_is_proposed_holds_on_another_command(proposal: Proposal, model: Model, hidden: Model) -> None:

@@ -52,8 +52,8 @@ class Term:
     Attributes:
         name: prefix of its parameters.
         acts: "torque", "friction", "damping" or "sensor".
-        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, and
-            `{followed}`, which follows what `follows` names.
+        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, the law's
+            state `s`, and `{followed}`, which follows what `follows` names.
         equation: the same for people.
         numbers: those of the formula, amplitudes first.
         shape: values of the number that is not linear; empty where all are.
@@ -148,7 +148,8 @@ def dictionary(design: Design) -> list[Term]:
              (Number("size", "N m s^2/rad^2", True, 3.0, True),), (), lambda m, _: _column(-m.speed * np.abs(m.speed))),
         Term("uneven", "torque", "-{damping} * np.abs(speed)", "D |speed|",
              (Number("damping", "N m s/rad", True, 3.0),), (), lambda m, _: _column(-np.abs(m.speed))),
-        Term("trailing", "torque", "-{damping} * {followed}", "B speed, followed with T",
+        # No less than what the joint has itself: what follows the speed late would drive the joint.
+        Term("trailing", "torque", "-max({damping}, -s.damping[s.dof]) * {followed}", "B speed, followed with T",
              (Number("damping", "N m s/rad", True, 3.0, True), lag), times,
              lambda m, t: _column(-followed(m, m.speed, t)), "", "speed"),
         Term("creeping", "torque", "-{stiffness} * {followed}", "k angle, followed with T",

@@ -34,12 +34,14 @@ from eps_tunnel_analysis.law.missing_force import (
 )
 from eps_tunnel_analysis.law.refit import Visit, floors_on, visit
 from eps_tunnel_analysis.outputs import shown_number, shown_value
+from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
 from labyrinth_sim.effect import Effect, effects, slide_unit
 from labyrinth_sim.model import Model, save_model
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.shown import shown
+from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
 ROUNDS = 6
@@ -301,7 +303,9 @@ def propose(
         lib = _library(model, part, effect, first.place)
         named = zip(law.terms, prefixes(law.terms), strict=True)
         start = {f"{NAME}.{first.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
-        tried.append(_refitted("formula", law, lib, plays, part, run, start))
+        attempt = _refitted("formula", law, lib, plays, part, run, start)
+        if not runs_away(attempt.model, shows.command, nthread):
+            tried.append(attempt)
     best = _best(tried)
     if best is None or best.refit.held_out > SETTINGS.law_complete:
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
@@ -346,6 +350,15 @@ def _curve(
     weights = Predictor(design).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(over.curve, spans[over.curve]).tolist(), weights.tolist(), strict=True))
     return table, tuple(half_widths(design, columns).tolist())
+
+
+def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
+    """Whether a model diverges on a command, such as one that goes where the recordings did not.
+
+    A force that follows the speed late drives a joint in places where the recordings did not keep it.
+    """
+    time, targets = command.sample(1.0 / model.rig.sample_time)
+    return bool(simulate_batch(model, (), np.zeros((1, 0)), time, targets[None], nthread=nthread).failed.any())
 
 
 def _equation(law: Formula) -> str:
