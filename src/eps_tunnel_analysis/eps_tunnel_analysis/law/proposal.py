@@ -44,7 +44,7 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
-ROUNDS = 6
+ROUNDS = 15
 
 
 @dataclass(frozen=True)
