@@ -44,7 +44,7 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
-ROUNDS = 15
+LAW_ROUNDS = 15
 
 
 @dataclass(frozen=True)
@@ -318,7 +318,7 @@ def propose(
     bare = replace(bare, tried={_equation(t.law): t.refit.held_out for t in tried})
     if best is None:
         return bare
-    base = best.search.refit([((), best.search.start)], ROUNDS, "fine")[0]
+    base = best.search.refit([((), best.search.start)], LAW_ROUNDS, "fine")[0]
     before = hypothesis(best.search, base)
     if best.refit.held_out > SETTINGS.law_falls * before.cost:
         return bare
@@ -491,7 +491,7 @@ def _refitted(
         column = lib.names.index(name) if name in lib.names else -1
         if column >= 0:
             values[column] = np.clip(number, search.low[column], search.high[column])
-    refit = search.refit([((own,), values)], ROUNDS, "fine")[0]
+    refit = search.refit([((own,), values)], LAW_ROUNDS, "fine")[0]
     columns = search.fitted(refit)
     slopes = search.jacobian(refit)
     spread = max(refit.cost, 1.0) * SETTINGS.correlated
