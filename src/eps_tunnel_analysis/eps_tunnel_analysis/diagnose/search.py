@@ -339,7 +339,8 @@ class Search:
         names = list(self.library.base)
         for name in refit.effects:
             names += self.library.find(name).parameters
-        return [column for column in (self._column[name] for name in names) if not (self._idle | self.sharp)[column]]
+        kept = self._idle | self.sharp
+        return [column for column in (self._column[name] for name in names) if not kept[column]]
 
     def refit(
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,

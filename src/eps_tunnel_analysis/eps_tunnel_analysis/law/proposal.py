@@ -44,7 +44,7 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
-LAW_ROUNDS = 15
+LAW_ROUNDS = 15  # of descent at most; after a few, chance decides between a formula and a curve
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,8 @@ class Proposal:
             `curve_band`: half of the 90 % interval at each.
         visit: the command that shows it best, where something is named.
         confirmation: its test on another command; None until one was played.
-        tried: equation -> floors left on left-out stretches, of each set of terms that was refitted.
+        tried: equation -> floors left on left-out stretches, of each set of terms that was refitted and does not
+            run away.
         ranked: set of effects, "none" or "unknown" -> probability, the proposal ranked as one candidate among the sets
             that the diagnosis found best; empty if nothing is proposed.
         also: what else lacks a force: the load's side of an elastic axis, other axes.
@@ -355,7 +356,7 @@ def _curve(
 def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
     """Whether a model diverges on a command, such as one that goes where the recordings did not.
 
-    A force that follows the speed late drives a joint in places where the recordings did not keep it.
+    A force that grows with the angle may hold a joint where it was recorded, and drive it further away.
     """
     time, targets = command.sample(1.0 / model.rig.sample_time)
     return bool(simulate_batch(model, (), np.zeros((1, 0)), time, targets[None], nthread=nthread).failed.any())

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.law.added_force import Motion
 from eps_tunnel_analysis.law.depends import Dependence
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Shape, Triangle
@@ -37,11 +36,6 @@ SWEEP = 4.0  # s for one slow sweep over all angles
 PAUSES = (0.15, 0.4, 1.0)  # s between reversals
 
 
-def _with_base(model: Model, search: Search, values: Array) -> Model:
-    named = dict(zip(search.library.base, (float(v) for v in values), strict=False))
-    return model.with_values(named, "refitted")
-
-
 def with_effect_fitted(model: Model, plays: Sequence[Play], axis: str, name: str, nthread: int = 0) -> Model:
     """A model with an effect of the library, `EFFECT.PLACE`, fitted together with an axis's base values."""
     part = next(p for p in axis_parts(model, plays) if p.name == axis)
@@ -53,7 +47,8 @@ def with_effect_fitted(model: Model, plays: Sequence[Play], axis: str, name: str
     late = search.refit([((own,), r.values) for r in sorted(early, key=lambda r: r.cost)[:2]], LAST, "fine")
     best = min(late, key=lambda r: r.cost).values
     fitted = dict(zip(search.library.names, (float(v) for v in best), strict=True))
-    result = _with_base(model.with_effect(own.effect, own.place, own.given), search, best)
+    added = model.with_effect(own.effect, own.place, own.given)
+    result = added.with_values({n: fitted[n] for n in search.library.base}, "refitted")
     return result.with_values({n: fitted[n] for n in own.parameters}, "fitted")
 
 
