@@ -148,7 +148,7 @@ def test_each_axis_is_judged_among_others_whose_values_are_refitted() -> None:
     play = as_play(recorded(text=BOTH), "xy", BOTH)
     parts = axis_parts(model, [play])
     bases = fitted_bases(model, [play], parts, how)
-    among = bases.among(model, parts[1]).values()
+    among = bases.among(model, [play], parts[1])[0].values()
     # Its speed gain and inertia are refitted, too, and trade off with it in so short a play.
     assert among["drive.x.p"] == pytest.approx(20.0, rel=0.2)
     assert among["drive.y.p"] == model.values()["drive.y.p"]

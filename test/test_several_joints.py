@@ -13,6 +13,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks" / "sec
 from six_joints import HIDDEN, JOINTS, arm, motion
 from ten_diagnoses import timed_diagnosis
 
+from eps_tunnel_analysis.diagnose.axes import diagnosed
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, joined
+from eps_tunnel_analysis.diagnose.base_values import fitted_bases
+from eps_tunnel_analysis.diagnose.doubts import notes_of
 from labyrinth_sim.build import COUPLED, coupled_axes
 from labyrinth_sim.model import load_model
 
@@ -23,6 +27,34 @@ def test_friction_in_one_joint_of_an_arm_is_named(tmp_path: Path) -> None:
     assert coupled_axes(model) == [("a0",), ("a1", "a2")]
     _, named = timed_diagnosis(model, motion(model, 3.0), ("coulomb_friction", "gravity_load"))
     assert named == (HIDDEN,)
+
+
+def test_many_axes_that_shake_one_another_are_judged_apart_unless_an_effect_between_them_is_asked_for(
+    tmp_path: Path,
+) -> None:
+    model = arm(tmp_path, 4)
+    assert coupled_axes(model) == [("a0", "a1", "a2", "a3")]
+    parts = [AxisPart((axis.name,), axis.positions, (f"drive.{axis.name}.stiffness",)) for axis in model.rig.axes]
+    assert joined(model, parts) == parts
+    assert joined(model, parts, ["coulomb_friction", "backlash.a1"]) == parts
+    (all_of_them,) = joined(model, parts, ["cross_coupling.a1"])
+    assert all_of_them.axes == ("a0", "a1", "a2", "a3")
+
+
+def test_a_joint_is_judged_while_the_others_move_as_they_were_measured(tmp_path: Path) -> None:
+    """The friction of one joint shakes the others, which lack nothing and must not be told to."""
+    model = arm(tmp_path, 4)
+    play = motion(model, 3.0)
+    run = SearchOptions(("coulomb_friction",), 1)
+    parts = axis_parts(model, [play])
+    bases = fitted_bases(model, [play], parts, run, roughly=True)
+    found = diagnosed(model, [play], parts, run, None, bases)
+    assert [axis.part for axis in found] == parts
+    assert [axis.best.effects for axis in found] == [(), (HIDDEN,), (), ()]
+    assert all(axis.base.cost < 1.1 for axis in found if axis.part.axes != ("a1",))
+    assert max(axis.best.cost for axis in found) < 1.1
+    (note,) = [n for n in notes_of(model, parts, parts, [play], found) if "moved as they were measured" in n]
+    assert "(cross_coupling, supply_sag)" in note
 
 
 def test_only_axes_that_share_a_hundredth_of_their_inertia_are_taken_together(tmp_path: Path) -> None:

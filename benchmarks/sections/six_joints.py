@@ -25,6 +25,8 @@ SECONDS = 30.0
 TRIALS = 3
 NOISE = 2e-4
 """rad"""
+FINE = 2.5e-4
+"""s between steps: a rig has none, and must not move by those of the model that is to be judged"""
 AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
 LINK = 0.2
 """m"""
@@ -93,7 +95,7 @@ def motion(model: Model, seconds: float = SECONDS) -> Play:
     commands = waves + 0.15 * np.sign(np.sin(2 * np.pi * (0.11 + 0.02 * phases) * time[:, None]))
     commands[time < 0.3] = 0.0
     rubbing = model.with_effect(*HIDDEN.split("."))
-    run = simulate(rubbing, time, commands)
+    run = simulate(rubbing, time, commands, timestep=FINE)
     noise = np.random.default_rng(0).standard_normal((TRIALS, *run.values.shape[1:]))
     sizes = np.where([unit == "rad" for unit in run.units], NOISE, 0.0)
     values = np.repeat(run.values, TRIALS, axis=0) + sizes * noise

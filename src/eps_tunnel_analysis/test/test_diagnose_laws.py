@@ -442,7 +442,7 @@ def test_an_axis_is_searched_among_the_others_with_their_refitted_values() -> No
     model = load_model("labyrinth_manual")
     bases = Bases({"drive.x.p": 11.0, "drive.x.delay": 0.011, "drive.y.p": 12.0})
     x = AxisPart(("x",), ("motor_x",), ("drive.x.p", "drive.x.delay"))
-    own, among = model.values(), bases.among(model, x).values()
+    own, among = model.values(), bases.among(model, [], x)[0].values()
     assert {name for name in own if among[name] != own[name]} == {"drive.y.p"}
     assert among["drive.y.p"] == 12.0
 

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """All axes together: the result, its probabilities, the models with what is missing, and the verdict on each."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eps_tunnel_analysis.compare import Comparison
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, diagnose_axis
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, side_by_side
+from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.experiment import Experiment
+from eps_tunnel_analysis.diagnose.prescribed import coupled_with, measured_motions
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Verdict
+from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 
@@ -34,6 +38,27 @@ class Diagnosis:
     before: Comparison
     after: Comparison
     experiment: Experiment | None
+
+
+def diagnosed(
+    model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions,
+    levels: Mapping[str, float] | None, bases: Bases,
+) -> list[AxisDiagnosis]:  # fmt: skip
+    """What each part lacks, in their order.
+
+    Parts that move by themselves are searched side by side. Of those that are coupled with others, the one that its
+    base values explain least comes first: with what it lacks in the model, its motion is known better to the rest.
+    """
+    coupled = [p for p in parts if set(coupled_with(model, p.axes)) & set(bases.motions)]
+    free = [p for p in parts if p not in coupled]
+    done = side_by_side(lambda p, run: diagnose_axis(model, plays, p, run, p.level(levels), bases), free, run)
+    begun = model.with_values(bases.values, "refitted")
+    for part in sorted(coupled, key=lambda p: -bases.left.get(p.name, 0.0)):
+        done.append(diagnose_axis(model, plays, part, run, part.level(levels), bases))
+        if done[-1].best.effects:
+            effects = {name for axis in done for name in axis.best.effects}
+            bases = replace(bases, motions=measured_motions(with_refits(begun, done, effects), plays))
+    return [next(axis for axis in done if axis.part is part) for part in parts]
 
 
 def together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:

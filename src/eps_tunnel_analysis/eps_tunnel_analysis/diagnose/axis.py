@@ -329,7 +329,7 @@ def diagnose_axis(
         bases: base values of all axes, if there are several.
     """
     bases = bases or Bases()
-    search = axis_search(bases.among(model, part), plays, part, run)
+    search = axis_search(*bases.among(model, plays, part), part, run)
     base = base_refit(search, bases.known(part))
     floor = floor_known(plays)
     base, refits = refitted_sets(search, base, level=level, floor=floor)

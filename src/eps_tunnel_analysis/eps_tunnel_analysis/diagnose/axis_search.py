@@ -25,6 +25,7 @@ from labyrinth_sim.build import axes_couple, compiled, coupled_axes
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.friction import SLOW
 from labyrinth_sim.model import Model
+from labyrinth_sim.prescribed import prescribed
 from labyrinth_sim.rig import BALL_SIGNALS, Axis
 from labyrinth_sim.trials import Array
 
@@ -37,6 +38,7 @@ SETTLED = 0.25  # s after which a motion is steady again
 EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves, but no less than
 LOAD_STEP = 0.001  # of the servo's full torque
 EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
+JOINTLY = 2  # axes that inertia couples and that are judged together at most
 MOVES = 1e-3  # rad; a command that spans less excites nothing
 
 Item = TypeVar("Item")
@@ -149,13 +151,17 @@ def _commands(play: Play, channel: str) -> Array:
     return np.asarray(play.trials.commands[:, :, play.trials.command_channels.index(channel)])
 
 
-def joined(model: Model, parts: Sequence[AxisPart]) -> list[AxisPart]:
-    """The parts, with coupled axes as one part: coupled by inertia, or by an effect of the model.
+def joined(model: Model, parts: Sequence[AxisPart], only: Sequence[str] | None = None) -> list[AxisPart]:
+    """The parts, with coupled axes as one part: coupled by inertia, or by an effect of the model or of those asked for.
 
-    If judged separately, an effect that one axis lacks would make another one look incomplete, too.
+    More than a few axes that inertia alone couples stay parts of their own; each is judged while the others move as
+    they were measured.
     """
+    asked = {name.split(".")[0] for name in only or ()}
     couples = any(use.effect.couples for use in model.effects)
+    whole = couples or any(e.couples for name, e in model.registry.effects.items() if name in asked)
     groups = [tuple(a.name for a in model.rig.axes)] if couples else coupled_axes(model)
+    groups = [own for g in groups for own in ([(n,) for n in g] if len(g) > JOINTLY and not whole else [g])]
     merged = []
     for group in groups:
         own = [p for p in parts if set(p.axes) & set(group)]
@@ -182,6 +188,8 @@ def axis_search(model: Model, plays: Sequence[Play], part: AxisPart, run: Search
     ball = part.axes == (BALL,)
     whole = library(model, part.base, ball, run.only)
     own = tuple(c for c in whole.candidates if c.axes and set(c.axes) <= set(part.axes))
+    if prescribed(model):  # how the other joints are driven is not in it
+        own = tuple(c for c in own if not c.effect.couples)
     if ball:
         own = tuple(replace(c, axes=()) for c in whole.candidates if on_ball(c.effect))
     for candidate in whole.candidates:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
+from eps_tunnel_analysis.diagnose.prescribed import Motions, coupled_with, measured_motions, with_prescribed_motion
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import HOPELESS, STANDS, Refit, Search
 from eps_tunnel_analysis.simulated import Play
@@ -34,14 +35,21 @@ class Bases:
     Attributes:
         values: full name -> value.
         evaluations: roll-outs that it took.
+        left: part -> floors that these values leave on it.
+        motions: of axes that inertia couples, as they were measured.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
     evaluations: int = 0
+    left: Mapping[str, float] = field(default_factory=dict)
+    motions: Motions = field(default_factory=dict)
 
-    def among(self, model: Model, part: AxisPart) -> Model:
-        """The model for the search on one part: the other axes with their refitted values."""
-        return model.with_values({n: v for n, v in self.values.items() if n not in part.base}, "refitted")
+    def among(self, model: Model, plays: Sequence[Play], part: AxisPart) -> tuple[Model, list[Play]]:
+        """The model and the plays for the search on one part: the axes that it is coupled with move as they were
+        measured, the others by their refitted values.
+        """
+        fitted = model.with_values({n: v for n, v in self.values.items() if n not in part.base}, "refitted")
+        return with_prescribed_motion(fitted, plays, self.motions, coupled_with(model, part.axes))
 
     def known(self, part: AxisPart) -> dict[str, float] | None:
         """The values of one part; None unless all are known."""
@@ -51,9 +59,8 @@ class Bases:
 def fitted_bases(
     model: Model, plays: Sequence[Play], parts: Sequence[AxisPart], run: SearchOptions, roughly: bool = False
 ) -> Bases:
-    """The base values of every axis, each fitted while the others move as simulated; then coupled axes together.
-
-    An axis that is coupled to another one with a wrong drive moves wrongly with it.
+    """The base values of every axis, each fitted while the axes that it is coupled with move as they were measured;
+    then axes together that are judged together.
 
     Args:
         roughly: as start values for diagnoses of each axis, and of coupled axes together, which fit them on.
@@ -63,11 +70,16 @@ def fitted_bases(
     coupled = {name for group in groups for name in group.axes}
     if roughly and len(groups) == 1 and len(coupled) == len(chosen):
         groups = []  # its diagnosis is all that follows
-    bases = Bases()
+    bases = Bases(motions=measured_motions(model, plays))
     for together in ([(p, roughly or p.name in coupled) for p in chosen], [(group, roughly) for group in groups]):
+        if not together:
+            continue
         fits = side_by_side(partial(_fitted, model, plays, bases), together, run)
-        bases = Bases({n: v for one in (bases, *fits) for n, v in one.values.items()},
-                      bases.evaluations + sum(one.evaluations for one in fits))  # fmt: skip
+        values = {n: v for one in (bases, *fits) for n, v in one.values.items()}
+        left = {n: v for one in (bases, *fits) for n, v in one.left.items()}
+        evaluations = bases.evaluations + sum(one.evaluations for one in fits)
+        motions = measured_motions(model.with_values(values, "refitted"), plays) if bases.motions else {}
+        bases = Bases(values, evaluations, left, motions)
     return bases
 
 
@@ -76,10 +88,10 @@ def _fitted(
 ) -> Bases:
     """The base values of one part, roughly or not, while the other parts have the values of `bases`."""
     part, roughly = part_roughly
-    search = axis_search(bases.among(model, part), plays, part, replace(run, only=()))
+    search = axis_search(*bases.among(model, plays, part), part, replace(run, only=()))
     refit = base_refit(search, bases.known(part), roughly)
     values = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
-    return Bases(values, search.evaluations)
+    return Bases(values, search.evaluations, {part.name: refit.cost})
 
 
 def base_refit(search: Search, known: Mapping[str, float] | None = None, roughly: bool = False) -> Refit:

@@ -5,7 +5,15 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from eps_tunnel_analysis.diagnose.axes import Diagnosis, axis_verdict, fit_names, left_out_error, together, with_refits
+from eps_tunnel_analysis.diagnose.axes import (
+    Diagnosis,
+    axis_verdict,
+    diagnosed,
+    fit_names,
+    left_out_error,
+    together,
+    with_refits,
+)
 from eps_tunnel_analysis.diagnose.axis import diagnose_axis, floor_known
 from eps_tunnel_analysis.diagnose.axis_search import (
     SearchOptions,
@@ -13,7 +21,6 @@ from eps_tunnel_analysis.diagnose.axis_search import (
     ball_part,
     joined,
     moved_parts,
-    side_by_side,
 )
 from eps_tunnel_analysis.diagnose.ball import sees_ball, split, without_ball
 from eps_tunnel_analysis.diagnose.base_values import Bases, fitted_bases
@@ -66,11 +73,10 @@ def diagnose(
     count = RolloutCount(progress, expected_rollouts([(len(p.base), effects) for p in moved])) if progress else None
     run = SearchOptions(tuple(on_axes) if only is not None else None, nthread, count, spread)
 
-    # Each axis by itself while the others move as simulated; coupled axes together.
-    bases = fitted_bases(model, alone, moved, run, roughly=True) if len(moved) > 1 else Bases()
-    axes = side_by_side(
-        lambda part, run: diagnose_axis(model, alone, part, run, part.level(levels), bases), joined(model, moved), run
-    )
+    # Each axis by itself, two coupled ones together.
+    groups = joined(model, moved, run.only)
+    bases = fitted_bases(model, alone, moved, run, roughly=True) if len(axis_parts(model, alone)) > 1 else Bases()
+    axes = diagnosed(model, alone, groups, run, levels, bases)
     judged = len(axes)
     if rolls:
         # It rolls as the axes tilt, so it is judged with the axes' missing effects already added.
@@ -94,7 +100,7 @@ def diagnose(
 
     # What to do next.
     doubted = [d for a in axes[:judged] if kind == "unknown" and a.best.cost > SETTINGS.healthy
-               for d in doubts(bases.among(model, a.part), alone, a, run)]  # fmt: skip
+               for d in doubts(*bases.among(model, alone, a.part), a, run)]  # fmt: skip
     experiment = None
     if experiments and kind == "undecided":
         experiment = next_experiment(axes[:judged], base_model, stated, floor_known(plays))

@@ -20,6 +20,7 @@ from eps_tunnel_analysis.fit.problem import by_axis
 from eps_tunnel_analysis.outputs import shown_times
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
+from labyrinth_sim.prescribed import prescribed
 from labyrinth_sim.rig import BALL_SIGNALS
 
 REFITTED = 2  # of the promising values, each alone
@@ -152,6 +153,12 @@ def notes_of(
     filmed = any(s in play.trials.signals for s in BALL_SIGNALS for play in plays)
     if model.rig.ball and filmed and not sees_ball(model, plays):
         notes.append("The ball was not visible at the start of every recording, so its effects were not considered.")
+    if any(prescribed(axis.search.library.model) for axis in axes):
+        between = ", ".join(sorted(e.name for e in model.registry.effects.values() if e.couples and not e.nameless))
+        notes.append(
+            "Each joint was judged while those that it is coupled with moved as they were measured, so effects between "
+            f"joints were not considered ({between}). Ask for one of them (--candidates) to judge the joints together."
+        )
     notes += [odd.sentence for axis in axes for odd in axis.odd]
     for axis in axes:
         poor = [r.effects for r in axis.refits if r.effects and not r.converged and r.cost < 2.0 * axis.best.cost]

@@ -23,6 +23,7 @@ from eps_tunnel_analysis.diagnose.search import Refit
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Step, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from labyrinth_sim.model import Model
+from labyrinth_sim.prescribed import prescribed
 from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
@@ -189,9 +190,11 @@ def chosen(offers: Sequence[tuple[Experiment, Harsh]]) -> Experiment | None:
 
 
 def was_played(evidence: Evidence, command: Command) -> bool:
-    """Whether one of the recordings is of this command."""
+    """Whether one of the recordings is of this command, on the axes that are not prescribed."""
     at, asked = command.sample(RATE)
-    for number, recorded in enumerate(evidence.commands):
+    own = [i for i, axis in enumerate(evidence.model.rig.axes) if axis.name not in prescribed(evidence.model)]
+    asked = asked[:, own]
+    for number, recorded in enumerate(commands[:, own] for commands in evidence.commands):
         time = evidence.times(number)
         if abs(time[-1] - command.duration) < SAME_LENGTH:
             apart = recorded - asked[np.searchsorted(at, time + 1e-9, side="right") - 1]
