@@ -55,6 +55,8 @@ RIGHT = {
     "cross_coupling": {"curve_other"},
     "sensor_gain": {"curve_sensor"},
     "sensor_bias": {"curve_sensor"},
+    "sensor_delay": {"curve_sensor_speed"},
+    "sensor_lag": {"curve_sensor_speed"},
 }
 """Effect -> free curves whose variable is the one that it depends on; what is not listed depends on none of them."""
 

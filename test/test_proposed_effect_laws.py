@@ -24,9 +24,10 @@ SIZE = 0.2  # of the drive's torque, root mean square, that each term adds
 OFF = 0.01  # rad, root mean square, that each term of a sensor adds
 FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck", "viscous", "drag", "uneven",
           "trailing", "creeping", "load", "tight", "fading", "warming", "coupling", "rubbing")  # fmt: skip
-SENSORS = ("offset", "scale", "bend", "wave")
+SENSORS = ("offset", "scale", "bend", "wave", "late")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",
             "uneven + drag", "-viscous + drag", "-friction + load")  # fmt: skip
+LATE = ("offset + late", "late + wave + scale")
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +71,8 @@ def proposed(kind, names):
         values = {n.name: each if n.switches else shape for n in term.numbers}
         chosen.append(Chosen(term, values | ({"phase": 0.5} if "phase" in values else {})))
     place = "board_x" if sensor else "x"
-    mark = seen_mark(model, declared(effect_file(chosen, sensor)), place, play)
-    return declared(effect_file(chosen, sensor, mark))
+    mark = seen_mark(model, declared(effect_file(chosen)), place, play)
+    return declared(effect_file(chosen, mark))
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
@@ -81,7 +82,7 @@ def test_a_force(names, law, scenes, without):
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-@pytest.mark.parametrize("names", SENSORS)
+@pytest.mark.parametrize("names", SENSORS + LATE)
 def test_a_sensor(names, law, scenes, without):
     law(proposed("sensor", names), scenes, without)
 

@@ -108,7 +108,7 @@ def test_a_law_that_runs_away_where_the_recordings_did_not_go_is_none(
 
     def with_term(name: str, size: str) -> Model:
         chosen = Chosen(terms[name], {size: -50.0, "after": 0.02})
-        late = model.with_effect(declared(effect_file((chosen,), False)), "pendulum")
+        late = model.with_effect(declared(effect_file((chosen,))), "pendulum")
         return late.with_values({f"proposed_effect.pendulum.{name}_{size}": -50.0})
 
     assert runs_away(with_term("creeping", "stiffness"), command)
@@ -217,7 +217,7 @@ def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingF
     for term in terms:
         values = {n.name: 0.02 if n.switches else shapes[term.name] for n in term.numbers}
         chosen.append(Chosen(term, values | ({"phase": 0.0} if "phase" in values else {})))
-    effect = declared(effect_file(chosen, sensor=False))
+    effect = declared(effect_file(chosen))
     assert len(effect.parameters) == sum(len(term.numbers) for term in terms)
     off = {p.name: p.typical if p.off is None else p.off for p in effect.parameters}
     for term in terms:
@@ -238,6 +238,6 @@ def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingF
 def test_every_term_of_a_sensor_is_read(missing: MissingForce, model: Model) -> None:
     for term in sensor_dictionary(Design.of(missing)):
         values = {n.name: 0.02 if n.switches else 0.3 for n in term.numbers}
-        effect = declared(effect_file([Chosen(term, values)], sensor=True))
+        effect = declared(effect_file([Chosen(term, values)]))
         shifted = simulate(model.with_effect(effect, "pendulum"), played(model, 4).trials)
         assert np.isfinite(shifted.values).all()

@@ -107,6 +107,12 @@ def angle_share(angle: Array, values: Values) -> Array:
     return 0.5 + 0.5 * (angle - centre) / half
 
 
+def speed_share(speed: Array, values: Values) -> Array:
+    """Share of the range -`most` to `most` by which a curve over a speed is read; a speed (nsim,) or (nsim, K)."""
+    slow = values["most"].reshape((-1,) + (1,) * (speed.ndim - 1)) / CROWDED
+    return np.asarray(0.5 + np.arcsinh(speed / slow) / (2.0 * np.arcsinh(CROWDED)))
+
+
 def falling(size: float) -> Array:
     """(10,) from `size` at the first knot to -`size` at the last, half a wave."""
     return np.round(size * np.cos(np.pi * PLACES), 6)

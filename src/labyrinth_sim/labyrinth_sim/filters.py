@@ -20,6 +20,30 @@ class Map:
         return self.function(own)
 
 
+class Chain:
+    """One filter after the other."""
+
+    def __init__(self, *filters: "Callable[[Array, Array], Array]") -> None:
+        self.filters = filters
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        for filter_ in self.filters:
+            own = filter_(own, every)
+        return own
+
+
+class WithSpeed:
+    """y = f(u, u'): of each sample and its speed over the step before it, from rest at `start` (nsim,)."""
+
+    def __init__(self, function: Callable[[Array, Array], Array], step: float, start: Array) -> None:
+        self.function, self.step, self.past = function, step, np.asarray(start, float)[:, None]
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        speed = np.diff(own, axis=1, prepend=self.past) / self.step
+        self.past = own[:, -1:].copy()  # the caller may refill `own`
+        return self.function(own, speed)
+
+
 class Delay:
     """y(t) = u(t - delay), linear between the two samples around t - delay.
 

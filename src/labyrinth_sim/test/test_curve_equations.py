@@ -94,6 +94,17 @@ def test_curve_sensor(model_of: ModelOf) -> None:
     assert seen == pytest.approx(0.5 * TIME + 0.1 * (0.5 * TIME - 0.4), abs=1e-6)
 
 
+@checks("curve_sensor_speed", "angle' = angle + F(speed), F through 10 values over -most to most")
+def test_curve_sensor_speed(model_of: ModelOf) -> None:
+    """A line in asinh(50 speed / most) is an error that is late by its slope for slow motion."""
+    model = model_of("horn").with_effect("curve_sensor_speed", "a", {**LINE, "most": 4.0})
+    for speed in (0.02, -0.7):
+        seen = play(model, TIME, a_speed=speed)["a"]
+        off = 0.09 * np.arcsinh(50.0 * speed / 4.0) / np.arcsinh(50.0)
+        assert seen[0] == pytest.approx(0.0, abs=1e-9)  # at rest before the first sample, as far as it knows
+        assert seen[1:] == pytest.approx(speed * TIME[1:] + off, abs=1e-4)
+
+
 @checks("curve_angle_friction", "torque = -max(F(angle), 0) sign(speed)" + CENTRED)
 @checks("curve_time_friction", "torque = -max(F(time), 0) sign(speed), F through 10 values over 0 to end")
 @pytest.mark.parametrize("sign", [1.0, -1.0])

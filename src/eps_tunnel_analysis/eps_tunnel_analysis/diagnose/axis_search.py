@@ -38,7 +38,7 @@ SETTLED = 0.25  # s after which a motion is steady again
 EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves, but no less than
 LOAD_STEP = 0.001  # of the servo's full torque
 EFFORT_SHARE = 0.05  # of the effort: how well a torque constant is known
-JOINTLY = 2  # axes that inertia couples and that are judged together at most
+MOST_TOGETHER = 2  # axes that inertia couples and that are judged together at most
 MOVES = 1e-3  # rad; a command that spans less excites nothing
 
 Item = TypeVar("Item")
@@ -161,7 +161,7 @@ def joined(model: Model, parts: Sequence[AxisPart], only: Sequence[str] | None =
     couples = any(use.effect.couples for use in model.effects)
     whole = couples or any(e.couples for name, e in model.registry.effects.items() if name in asked)
     groups = [tuple(a.name for a in model.rig.axes)] if couples else coupled_axes(model)
-    groups = [own for g in groups for own in ([(n,) for n in g] if len(g) > JOINTLY and not whole else [g])]
+    groups = [own for g in groups for own in ([(n,) for n in g] if len(g) > MOST_TOGETHER and not whole else [g])]
     merged = []
     for group in groups:
         own = [p for p in parts if set(p.axes) & set(group)]

@@ -11,7 +11,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.added_force import Motion, visited
 from eps_tunnel_analysis.law.design import DRAWS, Design, Explained, Predictor, Rows
-from labyrinth_sim.curve import CROWDED, KNOTS, NAMES, curve
+from labyrinth_sim.curve import CROWDED, KNOTS, NAMES, curve, speed_share
 from labyrinth_sim.trials import Array
 
 SURROGATES = 39
@@ -25,13 +25,15 @@ COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
 NO_MORE = 0.05  # of the misfit: a smaller gain in the share explained is not significant
+OF_SENSORS = ("curve_sensor", "curve_sensor_speed")
+"""Free curves of a sensor's error."""
 FRICTION = (
     "curve_load_friction", "curve_angle_friction", "curve_other_friction", "curve_reversal", "curve_time_friction",
 )  # fmt: skip
 """Free curves that are dry friction if they are constant, which a curve over the speed can be, too."""
 PLAIN = (
-    "curve_speed", "curve_angle", "curve_load_friction", "curve_sensor", "curve_other", "curve_angle_friction",
-    "curve_other_friction", "curve_reversal", "curve_time", "curve_time_friction",
+    "curve_speed", "curve_angle", "curve_load_friction", "curve_sensor", "curve_sensor_speed", "curve_other",
+    "curve_angle_friction", "curve_other_friction", "curve_reversal", "curve_time", "curve_time_friction",
 )  # fmt: skip
 """Free curves, the plainest first: of those that explain as much as the best, the first one is named. Friction over
 angle, load or time includes dry friction, and a constant is a curve over any variable."""
@@ -85,7 +87,7 @@ def knots_of(which: str, span: Mapping[str, float]) -> Array:
     share = np.linspace(0.0, 1.0, KNOTS)
     if "half" in span:
         return np.asarray(span["centre"] + span["half"] * (2.0 * share - 1.0))
-    if which == "curve_speed":
+    if which in ("curve_speed", "curve_sensor_speed"):
         return np.asarray(span["most"] / CROWDED * np.sinh((2.0 * share - 1.0) * np.arcsinh(CROWDED)))
     return np.asarray(share * span.get("end", span.get("most", 1.0)))
 
@@ -95,6 +97,12 @@ def moving(motion: Motion) -> Array:
     return -np.tanh(motion.speed / max(0.01 * float(np.abs(motion.speed).max()), 1e-9))
 
 
+def of_speed(speed: Array, spans: Mapping[str, Mapping[str, float]]) -> Array:
+    """Share (K,) of the range of a curve over a speed."""
+    most = np.full(1, spans["curve_speed"]["most"])
+    return speed_share(speed[None], {"most": most})[0]
+
+
 def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[str, Array, Array]]:
     """Free curve -> the variable's name, its share (K,) of the curve's range, and the sign (K,) that it acts with."""
     against, ones = moving(motion), np.ones(len(motion.time))
@@ -102,8 +110,7 @@ def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str
     def of_angle(angle: Array, span: Mapping[str, float]) -> Array:
         return 0.5 + 0.5 * (angle - span["centre"]) / span["half"]
 
-    fast = spans["curve_speed"]["most"]
-    by_speed = 0.5 + np.arcsinh(CROWDED * motion.speed / fast) / (2.0 * np.arcsinh(CROWDED))
+    by_speed = of_speed(motion.speed, spans)
     angle, end = of_angle(motion.angle, spans["curve_angle"]), spans["curve_time"]["end"]
     by_curve = {
         "curve_speed": ("speed", by_speed, ones),
@@ -147,10 +154,12 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
     )
     span = spans["curve_angle"]
     for number in sensors(design, positions):
-        errors = [hats(0.5 + 0.5 * (a - span["centre"]) / span["half"]) for a in design.angles(number)]
-        every.append(
-            Variable("angle, as a sensor's error", "curve_sensor", missing.signals[number], errors, number)
-        )  # fmt: skip
+        over_angle = [hats(0.5 + 0.5 * (a - span["centre"]) / span["half"]) for a in design.angles(number)]
+        over_speed = [hats(of_speed(v, spans)) for v in design.speeds(number)]
+        every += [
+            Variable(f"{what}, as a sensor's error", curve, missing.signals[number], errors, number)
+            for what, curve, errors in zip(("angle", "speed"), OF_SENSORS, (over_angle, over_speed), strict=True)
+        ]
     return every
 
 

@@ -70,7 +70,16 @@ class Design:
         """For each play the joint's angle at its nodes (n,), or at the samples (r,) of one sensor."""
         if signal is None:
             return [p.at_nodes(p.motion.angle) for p in self.plays]
-        return [np.interp(p.time[p.signal == signal], p.motion.time, p.motion.angle) for p in self.plays]
+        return self._seen(signal, [p.motion.angle for p in self.plays])
+
+    def speeds(self, signal: int) -> list[Array]:
+        """For each play the joint's speed (r,) at the samples of one sensor."""
+        return self._seen(signal, [p.motion.speed for p in self.plays])
+
+    def _seen(self, signal: int, over: Sequence[Array]) -> list[Array]:
+        """For each play what its motion has over time, at the samples (r,) of one sensor."""
+        return [np.interp(p.time[p.signal == signal], p.motion.time, own)
+                for p, own in zip(self.plays, over, strict=True)]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eps_tunnel_analysis.law.formula import Chosen
+from eps_tunnel_analysis.law.formula import OF_A_SENSOR, Chosen
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect
 from labyrinth_sim.errors import InputError
@@ -19,7 +19,7 @@ from labyrinth_sim.simulate import simulate
 NAME = "proposed_effect"
 SIGNIFICANT = 3  # figures of a typical value in the file
 FIRST_SLOT = 3  # of a law's memory, that holds what a term follows; before it are time, time since reversal, direction
-SHOWS = {"torque": "by_angle", "friction": "loop", "damping": "passing", "sensor": "by_angle"}
+SHOWS = {"torque": "by_angle", "friction": "loop", "damping": "passing", "sensor": "by_angle", "late": "late"}
 LOOKS = {
     "late": "The axis trails its command by a constant time.",
     "offset": "The axis is off by a constant.",
@@ -40,6 +40,7 @@ MISTAKEN = {
     "friction": ("coulomb_friction", "load_friction", "stribeck_friction"),
     "damping": ("viscous_friction", "supply_sag"),
     "sensor": ("sensor_gain", "sensor_bias"),
+    "late": ("sensor_delay", "sensor_lag"),
 }
 
 
@@ -52,8 +53,13 @@ def prefixes(terms: Sequence[Chosen]) -> list[str]:
     return used
 
 
-def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:
-    """The text of a file that declares an effect with these terms.
+def equation_of(terms: Sequence[Chosen]) -> str:
+    """The sum of the terms, for people."""
+    return " + ".join(c.term.equation for c in terms).replace("+ -", "- ")
+
+
+def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
+    """The text of a file that declares an effect with these terms, all of a force or all of a sensor.
 
     Args:
         shows: its mark, from `seen_mark`; by default what terms like the first one mostly show.
@@ -65,24 +71,27 @@ def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:
         kind: [_code(c, name) for c, name in zip(terms, names, strict=True) if c.term.acts == kind] for kind in acts
     }
     parameters = [line for c, name in zip(terms, names, strict=True) for line in _parameters(c, name)]
-    equation = " + ".join(c.term.equation for c in terms)
+    sensor = acts[0] in OF_A_SENSOR
+    equation = equation_of(terms)
     if not shows:
         shows = "coupled" if needs == {"other_axis"} and acts[0] == "torque" else SHOWS[acts[0]]
     touches = tuple({"friction": "dof_frictionloss", "damping": "dof_damping"}[a] for a in dict.fromkeys(acts)
                     if a in ("friction", "damping"))  # fmt: skip
     own = [f"{name}_{n.name}" for c, name in zip(terms, names, strict=True) for n in c.term.numbers]
     follows = {name: c.term.follows for c, name in zip(terms, names, strict=True) if c.term.follows}
-    body = _measure(code["sensor"], own) if sensor else _step(code, needs, own, follows)
+    body = _measure(code) if sensor else _step(code, needs, own, follows)
     result = "angle' = angle + " if sensor else "torque = "
+    filters = ", ".join(name for name in ("Chain", "Delay", "Map") if f"{name}(" in body)
     imports = (
-        "import numpy as np\n\nfrom labyrinth_sim.effect import Effect, Parameter, Values\n"
-        "from labyrinth_sim.filters import Map\nfrom labyrinth_sim.site import Site\n"
+        "from labyrinth_sim.effect import Effect, Parameter, Values\n"
+        f"from labyrinth_sim.filters import {filters}\nfrom labyrinth_sim.site import Site\n"
         "from labyrinth_sim.trials import Array\n"
         if sensor
         else "from labyrinth_sim.effect import Effect, Parameter\nfrom labyrinth_sim.law import law, state\n"
     )
-    if "math." in body:
-        imports = f"import math\n\n{imports}"
+    for module in ("math", "numpy as np"):
+        if f"{module.rpartition(' ')[2]}." in body:
+            imports = f"import {module}\n\n{imports}"
     lines = [
         "# SPDX-License-Identifier: Apache-2.0",
         '"""An effect that was found in recordings and not confirmed yet: say what it is, and give it a name."""',
@@ -96,7 +105,7 @@ def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:
         f'    title="Found: {equation}",',
         f'    physics="Not known yet; {"a sensor is off" if sensor else "a force acts"} by this formula, found in '
         'recordings.",',
-        f'    equation="{result}{equation}",',
+        f'    equation="{(result + equation).replace("+ -", "- ")}",',
         "    parameters=(",
         *parameters,
         "    ),",
@@ -118,9 +127,11 @@ def effect_file(terms: Sequence[Chosen], sensor: bool, shows: str = "") -> str:
 
 
 def _code(chosen: Chosen, prefix: str) -> str:
+    if chosen.term.acts in OF_A_SENSOR:
+        each = "" if chosen.term.acts == "late" else "[:, None]"
+        return chosen.term.formula.format(**{n.name: f'values["{prefix}_{n.name}"]{each}' for n in chosen.term.numbers})
     places = {n.name: f"{prefix}_{n.name}" for n in chosen.term.numbers} | {"followed": f"{prefix}_followed"}
-    text = chosen.term.formula.format(**places)
-    return text if chosen.term.acts == "sensor" else text.replace("np.abs", "abs").replace("np.", "math.")
+    return chosen.term.formula.format(**places).replace("np.abs", "abs").replace("np.", "math.")
 
 
 def _parameters(chosen: Chosen, prefix: str) -> list[str]:
@@ -190,10 +201,12 @@ def _step(
     return "\n".join([*lines, ""])
 
 
-def _measure(code: Sequence[str], names: Sequence[str]) -> str:
-    lines = ["def measure(values: Values, site: Site, step: float, start: Array) -> Map:"]
-    lines += [f'    {name} = values["{name}"][:, None]' for name in names]
-    return "\n".join([*lines, f"    return Map(lambda angle: angle + {' + '.join(code)})", ""])
+def _measure(code: Mapping[str, Sequence[str]]) -> str:
+    filters = [f"Delay({' + '.join(code['late'])}, step, start, smooth=True)"] if "late" in code else []
+    filters += [f"Map(lambda angle: angle + {' + '.join(code['sensor'])})"] if "sensor" in code else []
+    one = len(filters) == 1
+    kind, made = filters[0].partition("(")[0] if one else "Chain", filters[0] if one else f"Chain({', '.join(filters)})"
+    return f"def measure(values: Values, site: Site, step: float, start: Array) -> {kind}:\n    return {made}\n"
 
 
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []  # of files that compiled laws came from, kept as long as they are

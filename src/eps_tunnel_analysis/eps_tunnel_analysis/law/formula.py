@@ -23,6 +23,7 @@ BEHIND = 0.1  # of the misfit, by which a runner-up may stay behind
 SIMPLER = 0.01  # of the misfit, that one more number in a term must explain
 SHAPES = 9  # values tried of a speed or time that shapes a term
 MOST_SHARE = 0.45  # of the load, as friction: just below 0.5, where a gear locks itself
+OF_A_SENSOR = {"sensor": "curve_sensor", "late": "curve_sensor_speed"}  # acts -> the free curve over its variable
 SURE = 0.0  # lower end of the interval of what one more term explains
 
 
@@ -34,7 +35,7 @@ class Number:
         switches: whether the term vanishes where it is 0.
         times: how far its bounds lie from the fitted value; 0 bounds a phase.
         signed: whether it keeps the sign that it was fitted with.
-        most: the largest for such an effect.
+        least, most: the smallest and the largest for such an effect.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Number:
     times: float
     signed: bool = False
     most: float = math.inf
+    least: float = -math.inf
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Term:
 
     Attributes:
         name: prefix of its parameters.
-        acts: "torque", "friction", "damping" or "sensor".
+        acts: "torque", "friction", "damping", "sensor", or "late" of a sensor.
         formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, the law's
             state `s`, and `{followed}`, which follows what `follows` names.
         equation: the same for people.
@@ -75,8 +77,8 @@ class Term:
     @property
     def over(self) -> str:
         """The free curve over the variable that it depends on; "" of a constant."""
-        if self.acts == "sensor":
-            return "curve_sensor"
+        if self.acts in OF_A_SENSOR:
+            return OF_A_SENSOR[self.acts]
         words = {*re.findall(r"\w+", self.formula), self.follows}
         friction = "_friction" if self.acts == "friction" else ""
         over = {"other": f"curve_other{friction}", "angle": f"curve_angle{friction}", "carried": "curve_load_friction",
@@ -178,7 +180,7 @@ def dictionary(design: Design) -> list[Term]:
 
 
 def sensor_dictionary(design: Design) -> list[Term]:
-    """Every term that may be a sensor's error over what it measures."""
+    """Every term that may be a sensor's error over what it measures, or its delay."""
     waves = tuple(float(p) for p in periods(design))
     size = Number("size", "rad", True, 3.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
@@ -190,6 +192,8 @@ def sensor_dictionary(design: Design) -> list[Term]:
              lambda m, _: _column(m.angle**2)),
         Term("wave", "sensor", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
              "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
+        Term("late", "late", "{delay}", "-T speed", (Number("delay", "s", True, 3.0, True, least=0.0),), (),
+             lambda m, _: _column(-m.speed)),
     ]  # fmt: skip
 
 
@@ -220,6 +224,8 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
             for _, term, shape in sorted(scored, key=lambda one: -one[0])[:BEAM]:
                 more = np.hstack([begun.columns, _columns(design, term, shape, signal)])
                 together = whole.explained(more)
+                if not _possible((*begun.chosen, (term, shape)), together.weights):
+                    continue
                 gained = predictor.explained(more[:, begun.columns.shape[1] :])
                 if together.share - begun.share < least or gained.interval(seed)[0] <= SURE:
                     continue
@@ -258,13 +264,15 @@ def _columns(design: Design, term: Term, shape: float, signal: int | None) -> Ar
     if signal is None:
         rows = [np.column_stack([p.at_nodes(c) for c in term.columns(p.motion, shape).T]) for p in design.plays]
     else:
-        rows = [term.columns(_only_angle(angle), shape) for angle in design.angles(signal)]
+        seen = zip(design.angles(signal), design.speeds(signal), strict=True)
+        rows = [term.columns(_of_a_sensor(angle, speed), shape) for angle, speed in seen]
     return design.columns(rows, signal)
 
 
-def _only_angle(angle: Array) -> Motion:
+def _of_a_sensor(angle: Array, speed: Array) -> Motion:
+    """What a sensor sees of a motion, at its samples."""
     none = np.empty(0)
-    return Motion(none, angle, none, none, none, none, none, none, none)
+    return Motion(none, angle, speed, none, none, none, none, none, none)
 
 
 def _best_shape(
@@ -285,6 +293,12 @@ def _best_shape(
     tried = [share_again(shape) for shape in term.shape]
     best = refined(share, np.array(term.shape), int(np.argmax(tried)))
     return best, share(best)
+
+
+def _possible(chosen: Sequence[tuple[Term, float]], weights: Array) -> bool:
+    """Whether no number is smaller than it can be, as a delay below zero."""
+    every = ((number, c.values[number.name]) for c in _values(chosen, weights) for number in c.term.numbers)
+    return all(value >= number.least for number, value in every)
 
 
 def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen]:

@@ -21,9 +21,18 @@ from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.added_force import visited
-from eps_tunnel_analysis.law.depends import Dependence, Depends, depends, knots_of, sensors, traced, variables
+from eps_tunnel_analysis.law.depends import (
+    OF_SENSORS,
+    Dependence,
+    Depends,
+    depends,
+    knots_of,
+    sensors,
+    traced,
+    variables,
+)
 from eps_tunnel_analysis.law.design import Design, Predictor, half_widths
-from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, prefixes, seen_mark
+from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, equation_of, prefixes, seen_mark
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import (
     MissingForce,
@@ -232,9 +241,14 @@ class Proposal:
         """SI units of the two columns of `curve`: of the variable named, and of what is missing."""
         which = self.depends.first.curve if self.depends.first else ""
         force, position = self.missing.unit, self.position_unit
-        over = {"curve_speed": f"{position}/s", "curve_load_friction": force, "curve_reversal": "s"}
+        over = {
+            "curve_speed": f"{position}/s",
+            "curve_sensor_speed": f"{position}/s",
+            "curve_load_friction": force,
+            "curve_reversal": "s",
+        }
         over |= {"curve_time": "s", "curve_time_friction": "s"}
-        return over.get(which, position), position if which == "curve_sensor" else force
+        return over.get(which, position), position if which in OF_SENSORS else force
 
     def _units(self, chosen: Chosen) -> dict[str, str]:
         slides = self.missing.unit == "N"
@@ -289,18 +303,18 @@ def propose(
     if first is None:
         return Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
                         trials=trials)  # fmt: skip
-    sensor = list(part.signals).index(first.place) if first.curve == "curve_sensor" else None
+    sensor = list(part.signals).index(first.place) if first.curve in OF_SENSORS else None
     terms = dictionary(design) if sensor is None else sensor_dictionary(design)
     laws = formulas(design, terms, sensor, seed)
     spans = visited(motions)
-    spans["curve_sensor"] = spans["curve_angle"]
+    spans |= {"curve_sensor": spans["curve_angle"], "curve_sensor_speed": spans["curve_speed"]}
     table, band = _curve(design, positions, spans, first)
     bare = Proposal(part.name, first.place, missing, dependence, nothing, base=model, curve=table, curve_band=band,
                     visit=shows, offsets=offsets, trials=trials)  # fmt: skip
     run = SearchOptions((), nthread)
     tried: list[_Attempt] = []
     for law in laws:
-        effect = declared(effect_file(law.terms, sensor is not None))
+        effect = declared(effect_file(law.terms))
         lib = _library(model, part, effect, first.place)
         named = zip(law.terms, prefixes(law.terms), strict=True)
         start = {f"{NAME}.{first.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
@@ -316,7 +330,7 @@ def propose(
         free = _refitted("curve", nothing, lib, plays, part, run, start)
         if best is None or free.refit.held_out * SETTINGS.law_as_good < best.refit.held_out:
             best = free if np.isfinite(free.refit.held_out) else best
-    bare = replace(bare, tried={_equation(t.law): t.refit.held_out for t in tried})
+    bare = replace(bare, tried={equation_of(t.law.terms): t.refit.held_out for t in tried})
     if best is None:
         return bare
     base = best.search.refit([((), best.search.start)], LAW_ROUNDS, "fine")[0]
@@ -326,8 +340,8 @@ def propose(
     text, law = "", best.law
     if best.kind == "formula":
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
-        mark = seen_mark(model, declared(effect_file(law.terms, sensor is not None)), first.place, plays[0])
-        text = effect_file(law.terms, sensor is not None, mark)
+        mark = seen_mark(model, declared(effect_file(law.terms)), first.place, plays[0])
+        text = effect_file(law.terms, mark)
         proposed = _as_proposed(dependence, law)
         if proposed.first and proposed.first is not first:
             table, band = _curve(design, positions, spans, proposed.first)
@@ -335,7 +349,7 @@ def propose(
         dependence = _with_period(proposed, law, ratios(model.rig, part.name))
     return replace(
         bare, kind=best.kind, effect=best.effect, text=text,
-        equation=_equation(law) if best.kind == "formula" else effects()[first.curve].equation,
+        equation=equation_of(law.terms) if best.kind == "formula" else effects()[first.curve].equation,
         refit=best.refit, base_held_out=before.cost, model=best.model, depends=dependence, formula=law,
         ranked=_ranked(best, before, plays, len(terms), beside),
         left=missing_force(best.model, plays, part, nthread, passes=1),
@@ -360,10 +374,6 @@ def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
     """
     time, targets = command.sample(1.0 / model.rig.sample_time)
     return bool(simulate_batch(model, (), np.zeros((1, 0)), time, targets[None], nthread=nthread).failed.any())
-
-
-def _equation(law: Formula) -> str:
-    return " + ".join(c.term.equation for c in law.terms)
 
 
 def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
