@@ -5,13 +5,15 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law import proposal as proposal_module
-from eps_tunnel_analysis.law.added_force import Playing
+from eps_tunnel_analysis.law.added_force import Motion, Playing
 from eps_tunnel_analysis.law.depends import Dependence, Depends
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
@@ -241,3 +243,18 @@ def test_every_term_of_a_sensor_is_read(missing: MissingForce, model: Model) -> 
         effect = declared(effect_file([Chosen(term, values)]))
         shifted = simulate(model.with_effect(effect, "pendulum"), played(model, 4).trials)
         assert np.isfinite(shifted.values).all()
+
+
+@pytest.mark.parametrize("sensor", [False, True])
+def test_a_power_of_the_angle_does_not_grow_beyond_what_was_recorded(missing: MissingForce, sensor: bool) -> None:
+    design = Design.of(missing)
+    low = min(float(p.motion.angle.min()) for p in design.plays)
+    high = max(float(p.motion.angle.max()) for p in design.plays)
+    for term in (sensor_dictionary if sensor else dictionary)(design):
+        if term.name not in ("bend", "cubic"):
+            continue
+        at = np.array([low, 0.3 * low + 0.7 * high, high, 5.0 * high - low, 5.0 * low - high])
+        seen = [eval(term.formula.format(size="2.0"), {"np": np, "angle": float(a)}) for a in at]
+        inside = term.columns(cast(Motion, SimpleNamespace(angle=at[:2])), 0.0)[:, 0]
+        assert seen[:2] == pytest.approx(2.0 * inside, rel=0.05)
+        assert seen[3:] == pytest.approx([seen[2], seen[0]], rel=0.02)

@@ -119,6 +119,16 @@ def followed(motion: Motion, values: Array, after: float) -> Array:
     return np.asarray(values[0] + lfilter([1.0 - keeps], [1.0, -keeps], values - values[0]))
 
 
+def _visited(motions: Sequence[Motion]) -> tuple[float, float, str]:
+    """The least and the largest angle of motions, between which a power was found: beyond them it would grow without
+    reason, so it keeps its value there; and the same in words.
+    """
+    low, high = (float(end(float(end(m.angle)) for m in motions)) for end in (min, max))
+    digits = 2 - math.floor(math.log10(max(high - low, 1e-9)))
+    low, high = round(low, digits), round(high, digits)
+    return low, high, f"constant beyond {low:g} to {high:g}"
+
+
 def dictionary(design: Design) -> list[Term]:
     """Every term that may act as a force on this axis."""
     motions = [p.motion for p in design.plays]
@@ -127,6 +137,7 @@ def dictionary(design: Design) -> list[Term]:
     waves = tuple(float(p) for p in periods(design))
     speeds = tuple(float(v) for v in np.geomspace(0.003, 0.5, SHAPES) * fast)
     times = tuple(float(t) for t in np.geomspace(0.02, 1.0, SHAPES))
+    low, high, held = _visited(motions)
     torque, per_rad = "N m", "N m/rad"
     size, lag = Number("size", torque, True, 3.0), Number("after", "s", False, 10.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
@@ -136,10 +147,10 @@ def dictionary(design: Design) -> list[Term]:
              "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
         Term("spring", "torque", "-{stiffness} * angle", "-k angle", (Number("stiffness", per_rad, True, 3.0),), (),
              lambda m, _: _column(-m.angle)),
-        Term("bend", "torque", "{size} * angle**2", "c angle^2", (Number("size", "N m/rad^2", True, 3.0),), (),
-             lambda m, _: _column(m.angle**2)),
-        Term("cubic", "torque", "-{size} * angle**3", "-c angle^3", (Number("size", "N m/rad^3", True, 3.0),), (),
-             lambda m, _: _column(-(m.angle**3))),
+        Term("bend", "torque", f"{{size}} * min(max(angle, {low}), {high})**2", f"c angle^2, {held}",
+             (Number("size", "N m/rad^2", True, 3.0),), (), lambda m, _: _column(m.angle**2)),
+        Term("cubic", "torque", f"-{{size}} * min(max(angle, {low}), {high})**3", f"-c angle^3, {held}",
+             (Number("size", "N m/rad^3", True, 3.0),), (), lambda m, _: _column(-(m.angle**3))),
         Term("friction", "friction", "{size}", "F sign(speed)", (size,), (), lambda m, _: _column(moving(m))),
         Term("stribeck", "friction", "{size} * np.exp(-((speed / {slow}) ** 2))",
              "F exp(-(speed / v)^2) sign(speed)", (size, Number("slow", "rad/s", False, 10.0)), speeds,
@@ -182,14 +193,15 @@ def dictionary(design: Design) -> list[Term]:
 def sensor_dictionary(design: Design) -> list[Term]:
     """Every term that may be a sensor's error over what it measures, or its delay."""
     waves = tuple(float(p) for p in periods(design))
+    low, high, held = _visited([p.motion for p in design.plays])
     size = Number("size", "rad", True, 3.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
     return [
         Term("offset", "sensor", "{size} + 0.0 * angle", "b", (size,), (), lambda m, _: _column(np.ones_like(m.angle))),
         Term("scale", "sensor", "{share} * angle", "g angle", (Number("share", "1", True, 3.0),), (),
              lambda m, _: _column(m.angle)),
-        Term("bend", "sensor", "{size} * angle**2", "c angle^2", (Number("size", "1/rad", True, 3.0),), (),
-             lambda m, _: _column(m.angle**2)),
+        Term("bend", "sensor", f"{{size}} * np.clip(angle, {low}, {high})**2", f"c angle^2, {held}",
+             (Number("size", "1/rad", True, 3.0),), (), lambda m, _: _column(m.angle**2)),
         Term("wave", "sensor", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
              "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
         Term("late", "late", "{delay}", "-T speed", (Number("delay", "s", True, 3.0, True, least=0.0),), (),
