@@ -177,6 +177,47 @@ def test_a_drive_that_gives_way_to_the_weight_is_one_by_duty_cycle(tmp_path: Pat
         assert values["kp"] * values["duty_gain"] * stall == pytest.approx(20.0, rel=0.1)
 
 
+def servo_disc(folder: Path, actuator: str) -> Robot:
+    """The disc with an actuator of its own."""
+    actuators = f'<actuator><{actuator} name="m" joint="disc"/></actuator></mujoco>'
+    (folder / "servo.xml").write_text(DISC.replace("</mujoco>", actuators))
+    return read_robot(folder / "servo.xml")
+
+
+def stiff(robot: Robot) -> Sampled:
+    """How a servo of 200 N m/rad with 0.4 N m at most, which saturates at each step, follows jumps and a sine."""
+    time = np.arange(500) * STEP
+    target = 0.4 * np.sin(2.0 * time) + 0.3 * (np.sin(1.3 * time) > 0.0)
+    inertia, _ = inertia_of(robot, "disc")
+    angle = speed = 0.0
+    seen = []
+    for goal in target:
+        seen.append(angle)
+        for _ in range(50):
+            speed += STEP / 50 * float(np.clip(200.0 * (goal - angle) - 0.9 * speed, -0.4, 0.4)) / inertia
+            angle += STEP / 50 * speed
+    return Sampled(time, target, np.array(seen), np.full(len(time), np.nan))
+
+
+@pytest.mark.parametrize("gear", [1.0, 2.0])
+def test_the_models_own_servo_is_taken_where_it_moves_as_was_recorded(tmp_path: Path, gear: float) -> None:
+    servo = f'kp="{180.0 / gear**2}" kv="{1.0 / gear**2}" forcerange="-{0.4 / gear} {0.4 / gear}" gear="{gear}"'
+    robot = servo_disc(tmp_path, f"position {servo}")
+    found = propose_drive(robot, "disc", [stiff(robot)], 1.0, 0.0, "", "none recorded")
+    assert found.kind == "torque_pd" and found.why.startswith("the model's own position servo matches")
+    values = {name: one.value for name, one in found.values.items()}
+    assert values == pytest.approx({"stiffness": 180.0, "damping": 1.0, "torque": 0.4, "delay": 0.0})
+    assert found.values["stiffness"].why == "the actuator's kp in the model"
+
+
+@pytest.mark.parametrize("actuator", ['position kp="1" forcerange="-0.4 0.4"', "motor", 'velocity kv="3"'])
+def test_a_model_without_a_servo_that_fits_gets_its_drive_from_the_response(tmp_path: Path, actuator: str) -> None:
+    robot = servo_disc(tmp_path, actuator)
+    found = propose_drive(robot, "disc", [stiff(robot)], 1.0, 0.0, "", "none recorded")
+    assert "position servo" not in found.why
+    assert found.values["stiffness"].value > 2.0 if "stiffness" in found.values else found.kind == "velocity_pid"
+
+
 def played(model: Model, seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     time = np.arange(int(seconds / STEP)) * STEP
     random = np.random.default_rng(seed)

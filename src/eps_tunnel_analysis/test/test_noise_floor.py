@@ -160,6 +160,16 @@ def test_what_is_moved_in_a_sample_at_constant_speed_is_no_tick(tick: float) -> 
     assert resolution([seen]) == pytest.approx(tick, rel=1e-3)
 
 
+def test_ticks_of_a_fast_signal_are_found() -> None:
+    """It takes many ticks at a time, so no change is common."""
+    time, tick = np.arange(0, 20, 0.02), 2.0 * np.pi / 4096
+    angle = 0.4 * np.sin(3.3 * time) + 0.2 * np.sin(1.9 * time)
+    seen = np.round(np.degrees(np.round(angle / tick) * tick), 5)  # as text has it
+    assert resolution([seen]) == pytest.approx(np.degrees(tick), rel=1e-3)
+    assert resolution([np.degrees(angle)]) == 0.0
+    assert resolution([np.degrees(angle + 1e-4 * np.random.default_rng(2).standard_normal(len(time)))]) == 0.0
+
+
 def test_a_smooth_signal_has_no_tick() -> None:
     rng = np.random.default_rng(6)
     assert resolution([noisy(np.arange(0, 10, 0.01), rng)]) == 0.0

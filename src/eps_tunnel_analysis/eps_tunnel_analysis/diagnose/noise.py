@@ -18,6 +18,7 @@ BENDS = 20.0  # variance of third differences of noise of variance 1
 HARMONICS = 5  # of a sensor's ticks
 INDEPENDENT = 2.0 / 3.0  # share of changes from bin to bin that are independent, for white noise
 LEAST_FREEDOM = 6.0  # degrees of freedom of a variance at least
+TOO_FINE = 1e-3  # of the usual change: finer ticks are not looked for
 WHOLE = 0.9  # share of a quantised signal's changes that are multiples of its tick
 
 
@@ -177,17 +178,16 @@ def resolution(trials: Sequence[Array], share: float = 0.2) -> float:
     near = changes[(changes >= edges[max(peak - 1, 0)]) & (changes <= edges[min(peak + 2, len(edges) - 1)])]
     tick = float(np.median(near))
     spread = float(edges[1] - edges[0])
-    if tick < 5 * spread or len(near) < share * len(changes):
-        return 0.0
-    for part in (4, 3, 2):  # a fast signal takes several ticks at a time
-        if np.mean(np.abs(changes - tick / part) < spread) > 0.5 * share:
-            tick /= part
-            break
-    if _whole(changes, tick) > WHOLE:
-        return tick
-    # At constant speed the commonest change is the motion in a sample; a tick is what all changes are multiples of.
+    if tick >= 5 * spread and len(near) >= share * len(changes):
+        for part in (4, 3, 2):  # a fast signal takes several ticks at a time
+            if np.mean(np.abs(changes - tick / part) < spread) > 0.5 * share:
+                tick /= part
+                break
+        if _whole(changes, tick) > WHOLE:
+            return tick
+    # The commonest change may be the motion in a sample; a tick is what all changes are multiples of.
     least = float(changes[changes > 1e-6 * top].min())
-    return least if _whole(changes, least) > WHOLE else 0.0
+    return least if least > TOO_FINE * top and _whole(changes, least) > WHOLE else 0.0
 
 
 def _whole(changes: Array, tick: float) -> float:

@@ -3,7 +3,8 @@
 
 If an effort is recorded, the law is fitted to it: effort = K (target - angle) - C speed, which is linear. If none
 is, but the joint stays behind its target in proportion to its weight, the drive sags like a P control of the duty
-cycle. Otherwise a first-order and a second-order response to the commands are fitted, and the better one decides.
+cycle. Otherwise a first-order and a second-order response to the commands are fitted, and the better one decides. Where
+the model's own position servo matches the recording better than these, its gains are taken.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from eps_tunnel_analysis.new_rig.joints import Robot, Sampled
+from eps_tunnel_analysis.new_rig.own_servo import OwnServo, misses, own_servo
 from labyrinth_sim.trials import Array
 
 LAW = 0.9  # share of the effort's variance that a straight law explains, from which it is one
@@ -202,33 +204,36 @@ def propose_drive(
     stall_why = limit_why or f"so that full duty gives {STALL:g} times the largest load; to be fitted"
     share, k, c, limited = _laws(samples, scale, zero) if unit else (0.0, 0.0, 0.0, False)
     straight = share > 0.0
-    if unit:
-        if straight:
-            line = f"{k:.4g} (target - position) {'-' if c > 0 else '+'} {abs(c):.3g} speed"
-            explanation = f"effort = {line} explains {share:.1%} of it"
-            if unit == "duty":
-                gains = tuple(_law([s], scale, zero)[1] / DUTY_GAIN for s in samples)
-                kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {explanation}")
-                values = _duty_values(kp, stall, stall_why, n, rad)
-                return DriveProposal(
-                    "pwm_servo", f"duty follows the error: {explanation}", values, unit, unit_why, gains
-                )
-            if unit == n:
-                torque = most if limited else 1.2 * most
-                values = {
-                    "stiffness": Proposed(_round(k), f"{n}/{rad}", f"read from the recordings: {explanation}"),
-                    "damping": Proposed(_round(max(c, 0.0)), f"{n} s/{rad}", "the same line"),
-                    "torque": Proposed(
-                        _round(limit if limit and not limited else torque), n,
-                        "the largest recorded effort, where it is clipped" if limited
-                        else limit_why or "a fifth beyond the largest recorded effort",
-                    ),
-                    "delay": Proposed(0.0, "s", "to be fitted"),
-                }  # fmt: skip
-                return DriveProposal(
-                    "torque_pd", f"effort is a PD law on the error: {explanation}", values, unit, unit_why
-                )
-    else:
+    if straight:
+        line = f"{k:.4g} (target - position) {'-' if c > 0 else '+'} {abs(c):.3g} speed"
+        explanation = f"effort = {line} explains {share:.1%} of it"
+        if unit == "duty":
+            gains = tuple(_law([s], scale, zero)[1] / DUTY_GAIN for s in samples)
+            kp = Proposed(_round(k / DUTY_GAIN), "1", f"read from the recordings: {explanation}")
+            values = _duty_values(kp, stall, stall_why, n, rad)
+            return DriveProposal("pwm_servo", f"duty follows the error: {explanation}", values, unit, unit_why, gains)
+        if unit == n:
+            torque = most if limited else 1.2 * most
+            values = {
+                "stiffness": Proposed(_round(k), f"{n}/{rad}", f"read from the recordings: {explanation}"),
+                "damping": Proposed(_round(max(c, 0.0)), f"{n} s/{rad}", "the same line"),
+                "torque": Proposed(
+                    _round(limit if limit and not limited else torque), n,
+                    "the largest recorded effort, where it is clipped" if limited
+                    else limit_why or "a fifth beyond the largest recorded effort",
+                ),
+                "delay": Proposed(0.0, "s", "to be fitted"),
+            }  # fmt: skip
+            return DriveProposal("torque_pd", f"effort is a PD law on the error: {explanation}", values, unit, unit_why)
+    first, second = _orders(samples, scale, zero)
+    servo = None if straight else own_servo(robot, joint)
+    if servo is not None:
+        response = min(first[0], second[0])
+        left = misses(robot, joint, servo, _liveliest(samples), scale, zero)
+        if left < response:
+            within, effort_is = (limit, limit_why), (unit, unit_why)
+            return _of_servo(servo, left / response, within, _error(samples, scale), effort_is, n, rad)
+    if not unit:
         share, gives_way = _yielding(robot, joint, samples, scale, zero)
         if share > YIELDS:
             by = f"{gives_way:.3g} {n}/{rad}"
@@ -236,7 +241,6 @@ def propose_drive(
             kp = Proposed(_round(gives_way / DUTY_GAIN / stall), "1", "so that full duty times it is that")
             values = _duty_values(kp, stall, stall_why, n, rad)
             return DriveProposal("pwm_servo", explanation, values, unit, unit_why)
-    first, second = _orders(samples, scale, zero)
     ratio = second[0] / max(first[0], 1e-300)
     if ratio < BETTER or straight or first[1] > 0.9 * LARGEST_P:
         frequency, damping = second[1], second[2]
@@ -290,6 +294,30 @@ def propose_drive(
         unit,
         unit_why,
     )
+
+
+def _of_servo(
+    servo: OwnServo, share: float, limit: tuple[float, str], error: float, unit: tuple[str, str], n: str, rad: str
+) -> DriveProposal:
+    """The drive that the model has.
+
+    Args:
+        share: of what a linear response leaves, that it leaves.
+        limit: of its torque, 0 if it has none, and `unit` of its effort, each with a reason.
+        error: rad (m), the largest in the recordings.
+    """
+    values = {
+        "stiffness": Proposed(servo.stiffness, f"{n}/{rad}", "the actuator's kp in the model"),
+        "damping": Proposed(servo.damping, f"{n} s/{rad}", "the actuator's kv in the model"),
+        "torque": Proposed(
+            limit[0] or _round(max(UNSEEN * servo.stiffness * error, 1e-3)), n,
+            limit[1] or f"{UNSEEN:g} times what its stiffness gives at the largest error, because the model states no "
+            "limit",
+        ),
+        "delay": Proposed(0.0, "s", "to be fitted"),
+    }  # fmt: skip
+    why = f"the model's own position servo matches the recording with {share:.0%} of a linear response's error"
+    return DriveProposal("torque_pd", why, values, *unit)
 
 
 def _duty_values(kp: Proposed, stall: float, why: str, n: str, rad: str) -> dict[str, Proposed]:
@@ -389,7 +417,7 @@ def _law(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[float, 
 def _orders(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """(error, P, delay) of the best first-order response; (error, frequency, damping ratio, delay) of the best
     second-order response."""
-    lively = sorted(samples, key=lambda one: -float(np.nan_to_num(np.nanstd(one.target))))
+    lively = sorted(samples, key=_life, reverse=True)
     # A saturated or switched-off drive does not respond linearly, and slow motion does not show the order. So take the
     # recording where a second-order response is better than a first-order one by most, or else the best matched one.
     fits = [_orders_of(s, scale, zero) for s in lively[:: max(1, len(lively) // ANSWERS)][:ANSWERS]]
@@ -397,6 +425,15 @@ def _orders(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[tupl
     if clearest[1][0] < BETTER * clearest[0][0]:
         return clearest
     return min(fits, key=lambda orders: min(orders[0][0], orders[1][0]))
+
+
+def _life(s: Sampled) -> float:
+    """How far the target moves, as recorded."""
+    return float(np.nan_to_num(np.nanstd(s.target)))
+
+
+def _liveliest(samples: Sequence[Sampled]) -> Sampled:
+    return max(samples, key=_life)
 
 
 def _orders_of(s: Sampled, scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
