@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from labyrinth_sim.asset import compile_spec, read_spec
 from labyrinth_sim.effect import Drive, Effect, Values
+from labyrinth_sim.lean import make_lean
 from labyrinth_sim.model import Model
 from labyrinth_sim.quantities import RigKey, check_names
 from labyrinth_sim.rig import Rig
@@ -120,7 +121,7 @@ def build_spec(model: Model) -> tuple[mujoco.MjSpec, Plan]:
     return spec, _plan(rig, kinds, uses, mj, rig.ball is not None)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)
 def _compiled(
     key: RigKey,
     kinds: tuple[Drive, ...],
@@ -137,6 +138,9 @@ def _compiled(
     # Without it MuJoCo would restart a simulation that diverged, as if nothing had happened.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     mj = compile_spec(spec, source)
+    if mj.nmesh:
+        make_lean(spec, mj)
+        mj = compile_spec(spec, source)
     mj.opt.disableflags |= _idle(mj)
     return _plan(rig, kinds, uses, mj, with_ball)
 
