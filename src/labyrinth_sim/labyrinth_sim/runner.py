@@ -114,16 +114,15 @@ class Runner:
 
     def load(self, simulation: int, qpos: Array, qvel: Array) -> None:
         """Takes a simulation's fields and its first state."""
+        for name, numbers in self._fields.used.items():
+            owner, _, last = name.rpartition(".")
+            holder = getattr(self.model, owner) if owner else self.model
+            if np.ndim(getattr(holder, last)):
+                getattr(holder, last)[...] = numbers[simulation]
+            else:
+                setattr(holder, last, numbers[simulation].reshape(-1)[0].item())
         if self._derived:
-            self.model = self._fields.model_of(simulation)
-        else:
-            for name, numbers in self._fields.used.items():
-                owner, _, last = name.rpartition(".")
-                holder = getattr(self.model, owner) if owner else self.model
-                if np.ndim(getattr(holder, last)):
-                    getattr(holder, last)[...] = numbers[simulation]
-                else:
-                    setattr(holder, last, numbers[simulation].reshape(-1)[0].item())
+            mujoco.mj_setConst(self.model, self.data)
         self.model.opt.disableactuator = self._disabled
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
