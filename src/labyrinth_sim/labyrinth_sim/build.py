@@ -121,7 +121,7 @@ def build_spec(model: Model) -> tuple[mujoco.MjSpec, Plan]:
     return spec, _plan(rig, kinds, uses, mj, rig.ball is not None)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=32)
 def _compiled(
     key: RigKey,
     kinds: tuple[Drive, ...],
