@@ -210,7 +210,15 @@ def test_the_models_own_servo_is_taken_where_it_moves_as_was_recorded(tmp_path: 
     assert found.values["stiffness"].why == "the actuator's kp in the model"
 
 
-@pytest.mark.parametrize("actuator", ['position kp="1" forcerange="-0.4 0.4"', "motor", 'velocity kv="3"'])
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        'position kp="1" forcerange="-0.4 0.4"',
+        "motor",
+        'velocity kv="3"',
+        'position kp="180" kv="1" timeconst="0.1" forcerange="-0.4 0.4"',
+    ],
+)
 def test_a_model_without_a_servo_that_fits_gets_its_drive_from_the_response(tmp_path: Path, actuator: str) -> None:
     robot = servo_disc(tmp_path, actuator)
     found = propose_drive(robot, "disc", [stiff(robot)], 1.0, 0.0, "", "none recorded")

@@ -13,17 +13,19 @@ from labyrinth_sim.trials import Array
 def make_lean(spec: mujoco.MjSpec, compiled: mujoco.MjModel) -> None:
     """Leaves out of a specification what no roll-out needs; `compiled` is the same, compiled. It moves as before.
 
-    A mesh from which MuJoCo infers the inertia of its body is left as it is.
+    A mesh from which MuJoCo infers the inertia of its body, or fits another shape, is left as it is.
     """
-    if not compiled.nmesh:
-        return
-    weighs = {
-        geom.meshname for body in spec.bodies if not body.explicitinertial for geom in body.geoms if geom.meshname
+    inferred = spec.compiler.inertiafromgeom == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
+    kept = {
+        geom.meshname
+        for body in spec.bodies
+        for geom in body.geoms
+        if inferred or not body.explicitinertial or geom.type != mujoco.mjtGeom.mjGEOM_MESH
     }
     spec.compiler.discardvisual = True
     for mesh in list(spec.meshes):
         number = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_MESH, mesh.name)
-        if mesh.name in weighs or number < 0 or compiled.mesh_graphadr[number] < 0:
+        if mesh.name in kept or number < 0 or compiled.mesh_graphadr[number] < 0:
             continue
         small = spec.add_mesh(name=f"{mesh.name} hull", uservert=hull(compiled, number).ravel())
         for geom in (g for g in spec.geoms if g.meshname == mesh.name):

@@ -11,6 +11,7 @@ from labyrinth_sim.lean import make_lean
 from labyrinth_sim.trials import Array
 
 SIDES = np.array([0.1, 0.06, 0.04])
+INERTIAL = '<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 2e-4 2e-4"/>'
 AWAY = np.array([0.3, -0.2, 0.1])  # of the block from the origin of its file
 
 
@@ -32,13 +33,13 @@ def write_block(file: Path) -> None:
     file.write_text("\n".join([f"v {x} {y} {z}" for x, y, z in corners] + lines) + "\n")
 
 
-def block(folder: Path, inertial: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+def block(folder: Path, inertial: str, compiler: str = "", shape: str = "mesh") -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     write_block(folder / "block.obj")
-    text = f"""<mujoco><option timestep="0.001"/><asset>
+    text = f"""<mujoco><compiler {compiler}/><option timestep="0.001"/><asset>
       <mesh name="block" file="{folder}/block.obj" scale="0.001 0.001 0.001" refpos="0.3 -0.2 0.05"/></asset>
       <worldbody><geom type="plane" size="1 1 0.1"/>
       <body pos="0 0 0.2" euler="20 30 0"><freejoint name="free"/>{inertial}
-      <geom type="mesh" mesh="block" density="500"/>
+      <geom type="{shape}" mesh="block" density="500"/>
       <geom type="mesh" mesh="block" contype="0" conaffinity="0" mass="0"/>
       </body></worldbody></mujoco>"""
     (folder / "model.xml").write_text(text)
@@ -57,7 +58,7 @@ def fallen(mj: mujoco.MjModel) -> Array:
 
 
 def test_a_mesh_is_its_hull_and_falls_as_before(tmp_path: Path) -> None:
-    spec, full = block(tmp_path, '<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 2e-4 2e-4"/>')
+    spec, full = block(tmp_path, INERTIAL)
     make_lean(spec, full)
     lean = spec.compile()
     assert lean.ngeom == 2, "what is only drawn is left out"
@@ -67,10 +68,17 @@ def test_a_mesh_is_its_hull_and_falls_as_before(tmp_path: Path) -> None:
     assert fallen(lean) == pytest.approx(fallen(full), abs=1e-3)
 
 
-def test_a_mesh_that_weighs_is_left_as_it_is(tmp_path: Path) -> None:
-    spec, full = block(tmp_path, "")
+@pytest.mark.parametrize(
+    ("inertial", "compiler", "shape"),
+    [("", "", "mesh"), (INERTIAL, 'inertiafromgeom="true"', "mesh"), (INERTIAL, "", "ellipsoid")],
+)
+def test_a_mesh_that_weighs_or_gives_another_shape_its_size_is_left_as_it_is(
+    tmp_path: Path, inertial: str, compiler: str, shape: str
+) -> None:
+    spec, full = block(tmp_path, inertial, compiler, shape)
     make_lean(spec, full)
     lean = spec.compile()
-    assert lean.nmeshvert == full.nmeshvert
+    assert shape != "mesh" or lean.nmeshvert == full.nmeshvert
+    assert lean.geom_size[1] == pytest.approx(full.geom_size[1])
     assert lean.body_mass == pytest.approx(full.body_mass)
     assert lean.body_inertia == pytest.approx(full.body_inertia)

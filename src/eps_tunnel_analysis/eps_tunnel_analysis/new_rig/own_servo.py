@@ -37,7 +37,8 @@ def own_servo(robot: Robot, joint: str) -> OwnServo | None:
     kp, gear = float(mj.actuator_gainprm[number, 0]), float(mj.actuator_gear[number, 0])
     _, own, speed = (float(v) for v in mj.actuator_biasprm[number, :3])
     linear = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_AFFINE))
-    if kinds != linear or kp <= 0.0 or not np.isclose(own, -kp) or speed > 0.0 or gear == 0.0:
+    prompt = int(mj.actuator_dyntype[number]) == int(mujoco.mjtDyn.mjDYN_NONE)
+    if not prompt or kinds != linear or kp <= 0.0 or not np.isclose(own, -kp) or speed > 0.0 or gear == 0.0:
         return None
     return OwnServo(kp * gear**2, -speed * gear**2, gear)
 

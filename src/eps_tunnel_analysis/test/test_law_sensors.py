@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sensor that is late, as a law: what its error depends on, and by how much it is late."""
+
+import numpy as np
+import pytest
+
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart
+from eps_tunnel_analysis.law.depends import depends
+from eps_tunnel_analysis.law.design import Design
+from eps_tunnel_analysis.law.formula import formulas, sensor_dictionary
+from eps_tunnel_analysis.law.missing_force import missing_force
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.simulate import simulate
+from labyrinth_sim.trials import Trials
+
+PART = AxisPart(("x",), ("motor_x", "board_x"), ())
+DELAY = 0.02  # s
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return load_model("labyrinth")
+
+
+def recorded(model: Model) -> Play:
+    """Three trials of a model."""
+    time = np.arange(601) * 0.01
+    commands = np.zeros((len(time), 2))
+    commands[20:, 0] = 0.06 * np.sin(3.1 * time[20:]) + 0.03 * np.sign(np.sin(5.3 * time[20:]))
+    run = simulate(model, time, commands).select(["motor_x", "board_x"])
+    noise = 2e-4 * np.random.default_rng(4).standard_normal((3, *run.values.shape[1:]))
+    return Play("late", Trials(time, run.signals, run.units, run.values + noise, run.command_channels,
+                               np.repeat(run.commands, 3, axis=0)))  # fmt: skip
+
+
+def design(model: Model, play: Play) -> Design:
+    return Design.of(missing_force(model, [play], PART, nthread=1, passes=1))
+
+
+def test_a_sensor_that_is_late_is_off_by_its_speed_and_its_delay_is_found(model: Model) -> None:
+    late = model.with_effect("sensor_delay", "board_x", {"delay": DELAY})
+    found = design(model, recorded(late))
+    first = depends(found, PART.signals).first
+    assert first is not None
+    assert (first.variable, first.curve, first.place) == (
+        "speed, as a sensor's error", "curve_sensor_speed", "board_x"
+    )  # fmt: skip
+    (best, *_) = formulas(found, sensor_dictionary(found), PART.signals.index("board_x"))
+    assert [c.term.name for c in best.terms] == ["late"]
+    assert best.terms[0].values["delay"] == pytest.approx(DELAY, rel=0.1)
+
+
+def test_no_sensor_is_early(model: Model) -> None:
+    """The model says that it is late, and it is not: no delay can mend that."""
+    late = model.with_effect("sensor_delay", "board_x", {"delay": DELAY})
+    found = design(late, recorded(model))
+    laws = formulas(found, sensor_dictionary(found), PART.signals.index("board_x"))
+    assert not [c for law in laws for c in law.terms if c.term.name == "late"]
