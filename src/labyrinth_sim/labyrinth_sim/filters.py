@@ -23,7 +23,7 @@ class Map:
 class Chain:
     """One filter after the other."""
 
-    def __init__(self, *filters: "Callable[[Array, Array], Array]") -> None:
+    def __init__(self, *filters: Callable[[Array, Array], Array]) -> None:
         self.filters = filters
 
     def __call__(self, own: Array, every: Array) -> Array:

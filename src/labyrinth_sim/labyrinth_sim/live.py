@@ -27,13 +27,14 @@ class Fields:
         """The model that all simulations share, for its base values."""
         return self._batch.model
 
-    def model_of(self, simulation: int) -> mujoco.MjModel:
-        """A copy of the compiled model with one simulation's fields, and what follows from them."""
-        return self._batch.get_model(simulation)
+    @property
+    def changes_constants(self) -> bool:
+        """Whether constants of the model follow from fields that are used."""
+        return any(name in mujoco.MjModel._setconst_inputs for name in self.used)
 
     def derive(self) -> None:
         """Lets MuJoCo recompute the constants that follow from changed fields."""
-        if any(name in mujoco.MjModel._setconst_inputs for name in self.used):
+        if self.changes_constants:
             self._batch.set_const()
 
 

@@ -107,7 +107,7 @@ class Runner:
 
     def __init__(self, plan: Plan, fields: Fields) -> None:
         self._drives = plan.drives
-        self._fields, self._derived = fields, any(name in mujoco.MjModel._setconst_inputs for name in fields.used)
+        self._fields, self._derived = fields, fields.changes_constants
         self.model = copy.copy(plan.mj)
         self._disabled = int(plan.mj.opt.disableactuator)  # by the MJCF
         self.data = mujoco.MjData(self.model)

@@ -11,7 +11,7 @@ from labyrinth_sim.build import Placed, Plan, compiled, local_values
 from labyrinth_sim.effect import Filter, Values
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.filters import Map
+from labyrinth_sim.filters import Chain, Map
 from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model
 from labyrinth_sim.quantities import EFFORT, PLAIN
@@ -369,8 +369,7 @@ def through(chains: list[list[Filter]], block: Array) -> Array:
         return block
     out = np.array(block)
     for i, chain in enumerate(chains):
-        for filter_ in chain:
-            out[:, :, i] = filter_(out[:, :, i], block)
+        out[:, :, i] = Chain(*chain)(out[:, :, i], block)
     return out
 
 

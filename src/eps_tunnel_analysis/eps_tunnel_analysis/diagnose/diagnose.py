@@ -75,7 +75,7 @@ def diagnose(
 
     # Each axis by itself, two coupled ones together.
     groups = joined(model, moved, run.only)
-    bases = fitted_bases(model, alone, moved, run, roughly=True) if len(axis_parts(model, alone)) > 1 else Bases()
+    bases = fitted_bases(model, alone, moved, run, roughly=True) if len(parts) > 1 else Bases()
     axes = diagnosed(model, alone, groups, run, levels, bases)
     judged = len(axes)
     if rolls:

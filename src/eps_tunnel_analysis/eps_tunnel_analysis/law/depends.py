@@ -25,6 +25,8 @@ COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
 NO_MORE = 0.05  # of the misfit: a smaller gain in the share explained is not significant
+OVER_SPEED = ("curve_speed", "curve_sensor_speed")
+"""Free curves whose variable is a speed."""
 OF_SENSORS = ("curve_sensor", "curve_sensor_speed")
 """Free curves of a sensor's error."""
 FRICTION = (
@@ -87,7 +89,7 @@ def knots_of(which: str, span: Mapping[str, float]) -> Array:
     share = np.linspace(0.0, 1.0, KNOTS)
     if "half" in span:
         return np.asarray(span["centre"] + span["half"] * (2.0 * share - 1.0))
-    if which in ("curve_speed", "curve_sensor_speed"):
+    if which in OVER_SPEED:
         return np.asarray(span["most"] / CROWDED * np.sinh((2.0 * share - 1.0) * np.arcsinh(CROWDED)))
     return np.asarray(share * span.get("end", span.get("most", 1.0)))
 

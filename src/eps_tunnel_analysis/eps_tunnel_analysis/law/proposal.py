@@ -23,6 +23,7 @@ from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.added_force import visited
 from eps_tunnel_analysis.law.depends import (
     OF_SENSORS,
+    OVER_SPEED,
     Dependence,
     Depends,
     depends,
@@ -241,12 +242,7 @@ class Proposal:
         """SI units of the two columns of `curve`: of the variable named, and of what is missing."""
         which = self.depends.first.curve if self.depends.first else ""
         force, position = self.missing.unit, self.position_unit
-        over = {
-            "curve_speed": f"{position}/s",
-            "curve_sensor_speed": f"{position}/s",
-            "curve_load_friction": force,
-            "curve_reversal": "s",
-        }
+        over = dict.fromkeys(OVER_SPEED, f"{position}/s") | {"curve_load_friction": force, "curve_reversal": "s"}
         over |= {"curve_time": "s", "curve_time_friction": "s"}
         return over.get(which, position), position if which in OF_SENSORS else force
 

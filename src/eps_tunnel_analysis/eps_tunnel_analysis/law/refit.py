@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.law.added_force import Motion
-from eps_tunnel_analysis.law.depends import Dependence
+from eps_tunnel_analysis.law.depends import OVER_SPEED, Dependence
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Shape, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from eps_tunnel_analysis.simulated import Play
@@ -97,7 +97,7 @@ def visit(model: Model, axis: str, depends: Dependence, motions: Sequence[Motion
     word = depends.curve.removeprefix("curve_")
     name, channels = f"visit_{word}_{axis}", model.rig.command_channels
     spans, unit = _unvisited(depends.curve, motions, low, high), "m" if own.slides else "rad"
-    unit += "/s" if word.endswith("speed") else ""
+    unit += "/s" if depends.curve in OVER_SPEED else ""
     parts = ", ".join(f"{a:.3g} to {b:.3g} {unit}" for a, b in spans)
     reason = f"Visits {depends.variable} evenly" + (f"; hardly recorded so far: {parts}." if parts else ".")
     linear = tuple(a.command for a in model.rig.axes if a.slides)
@@ -115,7 +115,7 @@ def _shapes(curve: str, low: float, high: float, fast: float) -> list[Shape]:
     """For the axis itself, from its middle."""
     middle, half = round(0.5 * (low + high), 4), round(0.5 * (high - low), 4)
     shapes: list[Shape] = [Ramp(1.0, middle), Hold(0.3)]
-    if curve in ("curve_speed", "curve_sensor_speed", "curve_load_friction"):
+    if curve in (*OVER_SPEED, "curve_load_friction"):
         for speed in (share * fast for share in SPEEDS):
             frequency = min(max(speed / (4.0 * half), SLOWEST), QUICKEST)
             periods = math.ceil(AT_ONE_SPEED * frequency)
@@ -144,7 +144,7 @@ def _along(axis: Axis, own: Axis, motions: Sequence[Motion], curve: str, lasts: 
 
 def _unvisited(curve: str, motions: Sequence[Motion], low: float, high: float) -> tuple[tuple[float, float], ...]:
     """Spans of angle or speed that less than RARE of the time was spent in; of other variables none."""
-    if curve in ("curve_speed", "curve_sensor_speed"):
+    if curve in OVER_SPEED:
         values = np.concatenate([m.speed for m in motions])
         edges = np.linspace(-1.0, 1.0, BINS + 1) * float(np.abs(values).max())
     elif curve in ("curve_angle", "curve_angle_friction", "curve_sensor"):

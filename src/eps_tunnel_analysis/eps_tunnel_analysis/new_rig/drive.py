@@ -229,7 +229,7 @@ def propose_drive(
     servo = None if straight else own_servo(robot, joint)
     if servo is not None:
         response = min(first[0], second[0])
-        left = misses(robot, joint, servo, _liveliest(samples), scale, zero)
+        left = misses(robot, joint, servo, max(samples, key=_life), scale, zero)
         if left < response:
             within, effort_is = (limit, limit_why), (unit, unit_why)
             return _of_servo(servo, left / response, within, _error(samples, scale), effort_is, n, rad)
@@ -430,10 +430,6 @@ def _orders(samples: Sequence[Sampled], scale: float, zero: float) -> tuple[tupl
 def _life(s: Sampled) -> float:
     """How far the target moves, as recorded."""
     return float(np.nan_to_num(np.nanstd(s.target)))
-
-
-def _liveliest(samples: Sequence[Sampled]) -> Sampled:
-    return max(samples, key=_life)
 
 
 def _orders_of(s: Sampled, scale: float, zero: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
