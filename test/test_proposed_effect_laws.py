@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src" / "labyrinth_
 
 from effect_laws import LAWS, STEP, drive_scene, every_scene, played
 
-from eps_tunnel_analysis.law.added_force import Playing
+from eps_tunnel_analysis.diagnose.added_force import Playing
 from eps_tunnel_analysis.law.effect_file import declared, effect_file, seen_mark
 from eps_tunnel_analysis.law.formula import Chosen, dictionary, sensor_dictionary
 from eps_tunnel_analysis.simulated import Play

@@ -31,7 +31,7 @@ from eps_tunnel_analysis.diagnose.rank import (
     rank,
     smallest_set,
 )
-from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, decide, sentence
 from labyrinth_sim.model import load_model
@@ -272,6 +272,26 @@ def test_a_free_curve_that_explains_clearly_more_makes_it_unknown() -> None:
     assert without.unknown < 0.4 and beside.unknown == pytest.approx(without.unknown, abs=SAME)
     assert behind.unknown > 0.9
     assert (without.unknown_but, beside.unknown_but, behind.unknown_but) == (None, None, "curve.x")
+
+
+def test_a_sum_of_effects_leaves_nothing_for_its_forms_where_one_free_curve_does_without() -> None:
+    folds, blocks = np.arange(SAMPLES) * FOLDS // SAMPLES, np.zeros(SAMPLES, dtype=np.int64)
+    base, one, two = (
+        hypothesis(e, np.sqrt(c) * ALIKE) for e, c in (((), 101.0), (("a.x",), 3.5), (("a.x", "b.x"), 3.5))
+    )
+    poor, good = (hypothesis(("curve.x",), np.sqrt(c) * ALIKE) for c in (3.0, 0.5))
+
+    def said(named: Hypothesis, curves: Sequence[Hypothesis]) -> Ranking:
+        return rank(base, [named], folds, blocks, 10, curves)
+
+    for curves in ([], [poor]):
+        assert said(two, curves).probabilities["a.x + b.x"] > 0.9
+    beside = said(two, [good])
+    assert beside.unknown > 0.99 and beside.unknown_but == "curve.x"
+    # The right effect in another form leaves as much, and a curve may follow that.
+    assert said(one, [good]).probabilities["a.x"] > 0.9 and said(one, [good]).unknown_but is None
+    within = hypothesis(("a.x", "b.x"), np.sqrt(1.1) * ALIKE)
+    assert said(within, [good]).probabilities["a.x + b.x"] > 0.9
 
 
 def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:

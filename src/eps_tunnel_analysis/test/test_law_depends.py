@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from eps_tunnel_analysis.law.added_force import Motion
+from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.law.depends import Depends, depends, traced
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.missing_force import MissingForce, PlayAnswer

@@ -11,9 +11,9 @@ from typing import cast
 import numpy as np
 import pytest
 
+from eps_tunnel_analysis.diagnose.added_force import Motion, Playing
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law import proposal as proposal_module
-from eps_tunnel_analysis.law.added_force import Motion, Playing
 from eps_tunnel_analysis.law.depends import Dependence, Depends
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file

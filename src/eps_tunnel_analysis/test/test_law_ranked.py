@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
+from eps_tunnel_analysis.diagnose.added_force import Forces
 from eps_tunnel_analysis.diagnose.axis import diagnose_axis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions
-from eps_tunnel_analysis.law.added_force import Forces
 from eps_tunnel_analysis.law.depends import Depends
 from eps_tunnel_analysis.law.formula import Formula
 from eps_tunnel_analysis.law.missing_force import missing_force, missing_offset

@@ -29,7 +29,8 @@ from eps_tunnel_analysis.diagnose.evidence import Evidence, Residuals, play_evid
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.search import Job, Refit, Search
+from eps_tunnel_analysis.diagnose.refits import Job, Refit
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import command_response
 from eps_tunnel_analysis.simulated import Play

@@ -2,7 +2,7 @@
 """Free curves: smooth functions of one variable by a table of values, for effects that have no name yet.
 
 Between the knots the curve is the cubic of Keys (1981) through them, whose slope at a knot is that between its
-neighbours; before the first knot and after the last it is constant.
+neighbours, or that of the parabola through the last three; before the first knot and after the last it is constant.
 """
 
 import math
@@ -17,7 +17,7 @@ from labyrinth_sim.trials import Array
 KNOTS = 10
 NAMES = tuple(f"k{i + 1}" for i in range(KNOTS))
 PLACES: Array = np.arange(KNOTS) / (KNOTS - 1)
-CROWDED = 50.0  # range of a speed over the speed below which its knots are evenly spaced
+CROWDED = 50.0  # times as crowded as evenly spaced ones are the knots over a speed about zero
 
 
 def knots(unit: str, low: float, high: float, typical: Array, why: str) -> tuple[Parameter, ...]:
@@ -32,6 +32,12 @@ def bounds_of_range(name: str, unit: str, low: float, high: float, typical: floa
     return Parameter(name, unit, low, high, None, typical, "the range that the recordings visit", fitted=False)
 
 
+@numba.njit  # type: ignore[untyped-decorator]
+def _beyond(last: float, second: float, third: float) -> float:
+    """The value one knot beyond the last of three on a parabola."""
+    return 3.0 * last - 3.0 * second + third
+
+
 def curve(values: Values, share: Array) -> Array:
     """Values of the curve of many simulations.
 
@@ -44,7 +50,9 @@ def curve(values: Values, share: Array) -> Array:
     low = np.minimum(place.astype(np.int64), KNOTS - 2)
     t = place - low
     rows = np.arange(len(table)).reshape((-1,) + (1,) * (place.ndim - 1))
-    before, here, there, after = (table[rows, np.clip(low + k, 0, KNOTS - 1)] for k in (-1, 0, 1, 2))
+    # One more knot at either end, where the parabola through the last three is (Keys 1981, equation 19).
+    table = np.column_stack([_beyond(*table.T[:3]), table, _beyond(*table.T[:-4:-1])])
+    before, here, there, after = (table[rows, low + k] for k in range(4))
     first = 0.5 * (there - before)
     second = before - 2.5 * here + 2.0 * there - 0.5 * after
     third = 0.5 * (after - before) + 1.5 * (here - there)
@@ -59,8 +67,9 @@ def curve_and_slope(values: Array, share: float) -> tuple[float, float]:
     place = (KNOTS - 1) * share
     low = min(int(place), KNOTS - 2)
     t = place - low
-    before, here = values[max(low - 1, 0)], values[low]
-    there, after = values[low + 1], values[min(low + 2, KNOTS - 1)]
+    here, there = values[low], values[low + 1]
+    before = values[low - 1] if low > 0 else _beyond(here, there, values[2])
+    after = values[low + 2] if low < KNOTS - 2 else _beyond(there, here, values[KNOTS - 3])
     first = 0.5 * (there - before)
     second = before - 2.5 * here + 2.0 * there - 0.5 * after
     third = 0.5 * (after - before) + 1.5 * (here - there)
@@ -86,12 +95,13 @@ def from_zero(values: Array, variable: float) -> float:
 def over_speed(values: Array, speed: float) -> tuple[float, float]:
     """The curve at a speed, and its slope; `most`, at which its range ends on either side, follows the table.
 
-    Its knots are crowded about zero: dry friction changes there and hardly elsewhere.
+    Its knots are crowded about zero, because dry friction changes there and hardly elsewhere: speed = x (|x| + c) /
+    (1 + c) most, with x from -1 to 1 and c = 1 / CROWDED. So friction and drag are polynomials of x.
     """
-    slow = values[KNOTS] / CROWDED
-    full = 2.0 * math.asinh(CROWDED)
-    value, slope = curve_and_slope(values, 0.5 + math.asinh(speed / slow) / full)
-    return value, slope / (full * math.hypot(speed, slow))
+    root = math.sqrt(1.0 + 4.0 * CROWDED * (CROWDED + 1.0) * abs(speed) / values[KNOTS])
+    x = math.copysign((root - 1.0) / (2.0 * CROWDED), speed)
+    value, slope = curve_and_slope(values, 0.5 + 0.5 * x)
+    return value, 0.5 * slope * (CROWDED + 1.0) / (root * values[KNOTS])
 
 
 @numba.njit  # type: ignore[untyped-decorator]
@@ -109,8 +119,15 @@ def angle_share(angle: Array, values: Values) -> Array:
 
 def speed_share(speed: Array, values: Values) -> Array:
     """Share of the range -`most` to `most` by which a curve over a speed is read; a speed (nsim,) or (nsim, K)."""
-    slow = values["most"].reshape((-1,) + (1,) * (speed.ndim - 1)) / CROWDED
-    return np.asarray(0.5 + np.arcsinh(speed / slow) / (2.0 * np.arcsinh(CROWDED)))
+    most = values["most"].reshape((-1,) + (1,) * (speed.ndim - 1))
+    root = np.sqrt(1.0 + 4.0 * CROWDED * (CROWDED + 1.0) * np.abs(speed) / most)
+    return np.asarray(0.5 + np.copysign(root - 1.0, speed) / (4.0 * CROWDED))
+
+
+def speed_knots(most: float) -> Array:
+    """(10,) where the knots of a curve over a speed lie."""
+    x = 2.0 * PLACES - 1.0
+    return np.asarray(most * x * (CROWDED * np.abs(x) + 1.0) / (CROWDED + 1.0))
 
 
 def falling(size: float) -> Array:

@@ -75,8 +75,14 @@ Attributes:
 
 
 def _kept() -> str:
-    """A folder for compiled laws that belongs to this layout of `State` alone."""
-    marks = Path(__file__).read_bytes() + f"{numba.__version__} {mujoco.__version__}".encode()
+    """A folder for compiled laws that belongs to this layout of `State` alone, and to these functions that laws call.
+
+    A law is compiled again if its own file changes, but numba does not see what it calls.
+    """
+    called = b"".join(
+        text for file in sorted(Path(__file__).parent.glob("*.py")) if b"njit" in (text := file.read_bytes())
+    )
+    marks = called + f"{numba.__version__} {mujoco.__version__}".encode()
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     folder = os.path.join("labyrinth_sim", hashlib.sha256(marks).hexdigest()[:16])
     for parent in (home, os.path.join(tempfile.gettempdir(), f"cache-{os.getuid() if hasattr(os, 'getuid') else 0}")):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_rigs import BELT_MOTOR, BELT_RATIO, DRIVES, INERTIA, OFF, SPRING, checks, integrated, play
 
-from labyrinth_sim.curve import curve
+from labyrinth_sim.curve import curve, over_speed, speed_knots, speed_share
 from labyrinth_sim.model import Model
 
 STIFF = DRIVES["torque_pd"]["stiffness"]
@@ -16,6 +16,7 @@ ModelOf = Callable[..., Model]
 
 LINE = {f"k{i + 1}": 0.09 * (2.0 * i / 9.0 - 1.0) for i in range(10)}  # from -0.09 to 0.09
 LEVEL = {f"k{i + 1}": 0.05 for i in range(10)}
+ROOT = np.linspace(-1.0, 1.0, 20001)
 CENTRED = ", F through 10 values over centre +- half"
 INNER = 7.0 / 9.0  # of the range about its middle, where the curve is the line
 
@@ -28,6 +29,9 @@ def test_a_curve_goes_through_its_values_and_halfway_by_keys_weights() -> None:
     assert curve(values, shares) == pytest.approx(table)
     halfway = curve(values, np.tile((np.arange(1, 8) + 0.5) / 9.0, (3, 1)))
     assert halfway == pytest.approx((9 * (table[:, 1:8] + table[:, 2:9]) - table[:, :7] - table[:, 3:]) / 16)
+    places = np.linspace(0.0, 1.0, 37)
+    parabola = {f"k{i + 1}": np.full(1, 0.3 - (i / 9.0 - 0.4) ** 2) for i in range(10)}
+    assert curve(parabola, places[None])[0] == pytest.approx(0.3 - (places - 0.4) ** 2)
     assert curve(values, np.full(3, 1.7)) == pytest.approx(table[:, -1])
     assert curve(values, np.full(3, -2.0)) == pytest.approx(table[:, 0])
 
@@ -46,13 +50,25 @@ def test_curve_angle(model_of: ModelOf) -> None:
 @checks("curve_speed", "torque = F(speed), F through 10 values over -most to most")
 @pytest.mark.parametrize("timestep", [None, 0.005])
 def test_curve_speed(model_of: ModelOf, timestep: float | None) -> None:
-    """A falling line in asinh(50 speed / most) is friction that hardly changes at speed and none at rest."""
-    model = model_of("horn").with_effect("curve_speed", "a", {**{k: -v for k, v in LINE.items()}, "most": 4.0})
-    full = np.arcsinh(50.0)
-    expected = integrated(lambda w: (-0.09 * np.arcsinh(w[0] / 0.08) / full / INERTIA,), [1.2], TIME)[:, 0]
-    assert expected[-1] < 0.1
-    close = {"abs": 1e-3} if timestep is None else {"abs": 1e-2}
-    assert play(model, TIME, timestep=timestep, a_speed=1.2)["a_speed"] == pytest.approx(expected, **close)
+    """A table of friction in proportion to the speed is viscous friction, from zero to the fastest."""
+    table = dict(zip(LINE, (-0.1 * speed_knots(4.0)).tolist(), strict=True))
+    model = model_of("horn").with_effect("curve_speed", "a", {**table, "most": 4.0})
+    expected = 3.9 * np.exp(-0.1 / INERTIA * TIME)
+    assert expected[-1] < 0.2
+    close = {"abs": 1e-2} if timestep is None else {"abs": 5e-2}
+    assert play(model, TIME, timestep=timestep, a_speed=3.9)["a_speed"] == pytest.approx(expected, **close)
+
+
+def test_a_curve_over_speed_is_read_as_it_is_simulated() -> None:
+    rng = np.random.default_rng(3)
+    table, speeds = rng.normal(size=10), np.linspace(-2.17, 2.17, 45)
+    values = {f"k{i + 1}": table[[i]] for i in range(10)}
+    read = curve(values, speed_share(speeds[None], {"most": np.array([2.0])}))[0]
+    simulated = np.array([over_speed(np.append(table, 2.0), speed) for speed in speeds])
+    assert simulated[:, 0] == pytest.approx(read, abs=1e-12)
+    assert curve(values, speed_share(speed_knots(2.0)[None], {"most": np.array([2.0])}))[0] == pytest.approx(table)
+    ahead = np.array([over_speed(np.append(table, 2.0), speed + 1e-7)[0] for speed in speeds])
+    assert simulated[1:-1, 1] == pytest.approx((ahead - simulated[:, 0])[1:-1] / 1e-7, rel=1e-3, abs=1e-3)
 
 
 @checks("curve_time", "torque = F(time), F through 10 values over 0 to end")
@@ -96,11 +112,11 @@ def test_curve_sensor(model_of: ModelOf) -> None:
 
 @checks("curve_sensor_speed", "angle' = angle + F(speed), F through 10 values over -most to most")
 def test_curve_sensor_speed(model_of: ModelOf) -> None:
-    """A line in asinh(50 speed / most) is an error that is late by its slope for slow motion."""
+    """A line over the root of (almost) the speed, which is how its knots lie."""
     model = model_of("horn").with_effect("curve_sensor_speed", "a", {**LINE, "most": 4.0})
     for speed in (0.02, -0.7):
         seen = play(model, TIME, a_speed=speed)["a"]
-        off = 0.09 * np.arcsinh(50.0 * speed / 4.0) / np.arcsinh(50.0)
+        off = float(np.interp(speed, 4.0 * ROOT * (50.0 * np.abs(ROOT) + 1.0) / 51.0, 0.09 * ROOT))
         assert seen[0] == pytest.approx(0.0, abs=1e-9)  # at rest before the first sample, as far as it knows
         assert seen[1:] == pytest.approx(speed * TIME[1:] + off, abs=1e-4)
 

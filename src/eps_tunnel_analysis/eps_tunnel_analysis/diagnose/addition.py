@@ -17,7 +17,7 @@ from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors
 from eps_tunnel_analysis.diagnose.falls import RecordingErrors, Three, by_recording, fall_sentences
 from eps_tunnel_analysis.diagnose.named_intervals import intervals_json, named_intervals
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
-from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.outputs import plain

@@ -11,18 +11,11 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, Bases, base_refit, base_starts, better_base, softened
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
+from eps_tunnel_analysis.diagnose.free_curves import free_curves, imitated
 from eps_tunnel_analysis.diagnose.rank import Hypothesis, Ranking, left_out, rank, worst_floors
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set
 from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
-from eps_tunnel_analysis.diagnose.search import (
-    FEW_STARTS,
-    OUT_OF_REACH,
-    SHORTLIST,
-    Job,
-    Refit,
-    Search,
-    TrialPoint,
-    best_by_set,
-)
+from eps_tunnel_analysis.diagnose.search import FEW_STARTS, OUT_OF_REACH, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import tick_points
 from eps_tunnel_analysis.simulated import Play
@@ -329,11 +322,16 @@ def diagnose_axis(
         bases: base values of all axes, if there are several.
     """
     bases = bases or Bases()
-    search = axis_search(*bases.among(model, plays, part), part, run)
+    own, played = bases.among(model, plays, part)
+    search = axis_search(own, played, part, run)
     base = base_refit(search, bases.known(part))
     floor = floor_known(plays)
     base, refits = refitted_sets(search, base, level=level, floor=floor)
-    return _judged(plays, part, search, base, refits, model, level, floor)
+    curves: list[Hypothesis] = []
+    if floor and part.base and imitated(lowest([base, *refits]), search):
+        over, free = free_curves(search, base, own, played, part)
+        curves = [hypothesis(over, refit) for refit in free[:1]]
+    return _judged(plays, part, search, base, refits, model, level, floor, curves)
 
 
 def refitted_sets(
@@ -404,7 +402,7 @@ def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
 
 def _judged(
     plays: Sequence[Play], part: AxisPart, search: Search, base: Refit, refits: Sequence[Refit], model: Model,
-    level: float, floor: bool,
+    level: float, floor: bool, curves: Sequence[Hypothesis] = (),
 ) -> AxisDiagnosis:  # fmt: skip
     hypotheses = near_hypotheses(search, base, refits)
     alone = hypothesis(search, base)
@@ -413,7 +411,7 @@ def _judged(
     tried = len(search.library.candidates)
     # The base's residuals on all samples show whether anything is missing; those on left-out ones, what explains it.
     whole = replace(alone, left_out=base.residuals)
-    ranked = partial(rank, whole, hypotheses, search.folds, search.blocks, tried, level=level,
+    ranked = partial(rank, whole, hypotheses, search.folds, search.blocks, tried, curves, level=level,
                      drifts=drifts, floor=floor, signals=search.signal)  # fmt: skip
     even = ranked()
     diagnosis = AxisDiagnosis(

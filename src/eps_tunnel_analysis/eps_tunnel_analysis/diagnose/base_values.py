@@ -11,7 +11,8 @@ from scipy.stats import qmc
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
 from eps_tunnel_analysis.diagnose.prescribed import Motions, coupled_with, measured_motions, with_prescribed_motion
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.search import HOPELESS, STANDS, Refit, Search
+from eps_tunnel_analysis.diagnose.refits import Refit
+from eps_tunnel_analysis.diagnose.search import HOPELESS, STANDS, Search
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array

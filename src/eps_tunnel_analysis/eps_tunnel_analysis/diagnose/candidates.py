@@ -152,7 +152,7 @@ def with_curves(lib: Library, ranges: Mapping[tuple[str, str], Mapping[str, floa
     """A library with free curves as further candidates.
 
     Args:
-        ranges: (free curve, place) -> the range that it covers, from `law.added_force.visited`.
+        ranges: (free curve, place) -> the range that it covers, from `added_force.visited`.
     """
     model, candidates = lib.model, list(lib.candidates)
     for (name, place), given in ranges.items():

@@ -120,10 +120,11 @@ class Evidence:
         other.missed = missed
         return other
 
-    def of(self, model: Model) -> "Evidence":
-        """The same for another model of the rig."""
+    def of(self, model: Model, free: Sequence[str] | None = None) -> "Evidence":
+        """The same for another model of the rig, and other free parameters if any are given."""
         other = self._again()
         other.model, other.known = model, known_values(model, [p.play for p in self.plays])
+        other.free = self.free if free is None else tuple(free)
         return other
 
     def started(self, shifts: Sequence[Mapping[str, float]]) -> "Evidence":

@@ -19,7 +19,7 @@ from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SETTLED, is_steady
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
-from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Step, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from labyrinth_sim.model import Model

@@ -16,7 +16,8 @@ from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.base_values import sensed_joints
 from eps_tunnel_analysis.diagnose.discrepancy import shifts_of
 from eps_tunnel_analysis.diagnose.rank import independent
-from eps_tunnel_analysis.diagnose.search import Refit, Search
+from eps_tunnel_analysis.diagnose.refits import Refit
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.intervals import CHI2_95, intervals, widened
 from labyrinth_sim.model import Model

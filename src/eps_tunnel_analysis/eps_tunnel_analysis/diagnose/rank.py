@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from eps_tunnel_analysis.diagnose.search import Refit
+from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.intervals import autocorrelation_length
 from labyrinth_sim.shown import shown
@@ -221,10 +221,16 @@ def rank(
     ]
     ranked.append(_ranked(base, float(np.mean(none)) * (1.0 - lacking), base, unit, costs[:, 0], costs[:, 0]))
     ordered = tuple(sorted(ranked, key=lambda r: (-r.probability, r.cost, r.effects)))
-    named = min((h.cost for h in hypotheses), default=base.cost)
-    curve = min(curves, key=lambda h: h.cost, default=None)
-    better = curve is not None and named - curve.cost > _curve_room(base.cost / unit, curve.cost / unit) * unit
+    named, curve = (min(some, key=lambda h: h.cost, default=None) for some in (hypotheses, curves))
+    better = curve is not None and _nameless(curve, named or base, base, unit)
     return Ranking(ordered, unknown_total, curve.refit.effects[0] if better and curve is not None else None)
+
+
+def _nameless(curve: Hypothesis, named: Hypothesis, base: Hypothesis, unit: float) -> bool:
+    """Whether a free curve explains clearly more than the best named set does."""
+    room = _curve_room(base.cost / unit, curve.cost / unit) * unit
+    several = len(named.refit.effects) > 1
+    return bool(named.cost - curve.cost > room or (several and curve.cost <= SETTINGS.healthy * unit < named.cost))
 
 
 def _ranked(h: Hypothesis, probability: float, base: Hypothesis, unit: float, costs0: Array, costs: Array) -> Ranked:
@@ -332,7 +338,11 @@ def _probabilities(
     gain = np.maximum(np.minimum(fitted, predicted), _gain(base, curve)) - 2.0 * SETTINGS.width
     allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
-    formed = np.maximum(kept * np.maximum(base - 1.0, 0.0)[:, None], np.maximum(level - 1.0, 0.0))
+    # A sum of effects may leave nothing for its forms where one curve does without: it may only imitate that one.
+    several = np.array([len(h.refit.effects) > 1 for h in hypotheses])
+    enough = 1.0 - _soft(np.log(np.maximum(curve, 1e-12) / SETTINGS.healthy))
+    formed = kept * np.maximum(base - 1.0, 0.0)[:, None] * np.where(several, 1.0 - enough[:, None], 1.0)
+    formed = np.maximum(formed, np.maximum(level - 1.0, 0.0))
     beyond = _soft(np.log(np.maximum(remaining, 1e-12) / (SETTINGS.healthy + SETTINGS.form * formed)))
     excess = (remaining - curve[:, None]) / _curve_room(before, curve)[:, None]
     formless = _soft(np.log(np.maximum(excess, 1e-12)))

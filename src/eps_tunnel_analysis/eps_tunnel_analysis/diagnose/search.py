@@ -7,7 +7,7 @@ compensate to first order. Then a descent of the base values and the candidate's
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_rough, loosely_known, starts
 from eps_tunnel_analysis.diagnose.evidence import Evidence
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, with_residuals
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import jacobian, steps_within
 from eps_tunnel_analysis.fit.lockstep import descend
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.friction import SLOW
-from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 DIFFERENCE = 1e-3  # finite differences to begin with, normalised
@@ -47,64 +47,6 @@ STANDS = 0.1  # floors by which half the step may change an answer that is accur
 ROUGH = 0.2
 
 Level = Literal["coarse", "fine", "exact", "own"]
-Job = tuple[tuple[Candidate, ...], Array]
-"""Candidates to fit together, and (K,) values to start from."""
-
-
-@shown
-@dataclass(frozen=True)
-class Refit:
-    """A set of effects refitted together with the base values.
-
-    Attributes:
-        effects: candidate names, in the order in which they were added; empty for the base alone.
-        values: (K,) of all of the library's values, in their units.
-        residuals: (R,) in units of the noise floor.
-        cost: mean square of the residuals.
-        free: how many values were fitted.
-        converged: no set that it contains fits better.
-        held: what a descent adds to the cost for values far from what is stated.
-        steps: (K,) finite differences, normalised, that suit it; None for the initial ones.
-    """
-
-    effects: tuple[str, ...]
-    values: Array
-    residuals: Array
-    cost: float
-    free: int
-    converged: bool
-    held: float = 0.0
-    steps: Array | None = None
-
-    @property
-    def objective(self) -> float:
-        """What a descent minimises."""
-        return self.cost + self.held
-
-
-@dataclass(frozen=True)
-class TrialPoint:
-    """A candidate at (K,) values.
-
-    Attributes:
-        promised: the lowest cost with a share of its change, to first order.
-        on: which of the refits it was tried on top of.
-    """
-
-    candidate: Candidate
-    values: Array
-    promised: float
-    on: int
-
-
-def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
-    """The best refit of each set of effects, best first; those of no finite cost are left out."""
-    best: dict[frozenset[str], Refit] = {}
-    for refit in refits:
-        same = best.get(frozenset(refit.effects))
-        if np.isfinite(refit.cost) and (same is None or refit.objective < same.objective):
-            best[frozenset(refit.effects)] = refit
-    return sorted(best.values(), key=lambda r: (r.objective, r.effects))
 
 
 class Search:
@@ -309,6 +251,23 @@ class Search:
         sums = np.bincount(self.signal, residuals**2) / np.maximum(np.bincount(self.signal), 1)
         return float(sums.max())
 
+    def over(self, library: Library) -> "Search":
+        """A search over other candidates on top of the same base values, with the same samples, floor and steps."""
+        stepped: dict[int, Evidence] = {}
+        for evidence in self.levels.values():
+            ticks = {n: v for n, v in evidence.model.values().items() if n.endswith(".feedback_tick")}
+            model = library.model.with_values(ticks, "as stated")
+            stepped.setdefault(id(evidence), evidence.of(model, library.names))
+        scale = np.ones(len(self.evidence.mean))
+        scale[self.used] = self.scale
+        levels = {level: stepped[id(evidence)] for level, evidence in self.levels.items()}
+        other = Search(library, levels, scale, self.used, self.progress)
+        size = len(library.base)
+        for name in ("_idle", "sharp", "difference"):
+            getattr(other, name)[:size] = getattr(self, name)[:size]
+        other._noise, other._shift, other.evaluations = self._noise, self._shift, self.evaluations
+        return other
+
     def as_stated(self) -> "Search":
         """The same, with the base values fixed for which the model states an expectation."""
         other = copy(self)
@@ -421,11 +380,11 @@ class Search:
             refits = self.refit(at, round(share * rounds), "fine", shifts)
             if not best:  # a correction that misleads leaves each where it was
                 begun = (replace(r, values=p, held=self._held_at(p)) for r, p in zip(refits, points, strict=True))
-                best = [_with_residuals(r, row) for r, row in zip(begun, first, strict=True)]
+                best = [with_residuals(r, row) for r, row in zip(begun, first, strict=True)]
             points = np.array([r.values for r in refits])
             shown = self.residuals(points, "exact")
             shifts = shifts + shown - np.array([r.residuals for r in refits])
-            exact = [_with_residuals(r, row) for r, row in zip(refits, shown, strict=True)]
+            exact = [with_residuals(r, row) for r, row in zip(refits, shown, strict=True)]
             best = [min(pair, key=lambda r: r.objective) for pair in zip(best, exact, strict=True)]
         return best
 
@@ -499,7 +458,7 @@ class Search:
                 reach = SCANNED * self.spans[column]
                 scanned = refit.values[column] + np.linspace(-reach, reach, SCAN)
                 best, residuals = self._best_of_column(refit.values, column, scanned, "exact")
-                best_refits.append(_with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
+                best_refits.append(with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
         return best_refits
 
     def _best_of_column(
@@ -549,7 +508,7 @@ class Search:
     def at(self, values: Array, like: Refit) -> Refit:
         """The refit that has these values (K,)."""
         there = replace(like, values=values, held=self._held_at(values))
-        return _with_residuals(there, self.residuals(values[None])[0])
+        return with_residuals(there, self.residuals(values[None])[0])
 
     def moved(self, refit: Refit) -> Array:
         """(k, K) values of a refit with each of its fitted ones, the base's first, moved by a finite difference."""
@@ -587,11 +546,6 @@ class Search:
         steps = np.diagonal((points - refit.values)[:, columns]) / self.spans[columns]
         answers = self.residuals(np.vstack([refit.values, points]))
         return jacobian(answers[0], answers[1:], steps)
-
-
-def _with_residuals(refit: Refit, residuals: Array) -> Refit:
-    """The refit with residuals (R,) at its values."""
-    return replace(refit, residuals=residuals, cost=float(np.mean(residuals**2)))
 
 
 def directions(changes: Array) -> Array:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from eps_tunnel_analysis.diagnose.added_force import Motion, visited
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.law.added_force import Motion, visited
 from eps_tunnel_analysis.law.design import DRAWS, Design, Explained, Predictor, Rows
-from labyrinth_sim.curve import CROWDED, KNOTS, NAMES, curve, speed_share
+from labyrinth_sim.curve import KNOTS, NAMES, curve, speed_knots, speed_share
 from labyrinth_sim.trials import Array
 
 SURROGATES = 39
@@ -90,7 +90,7 @@ def knots_of(which: str, span: Mapping[str, float]) -> Array:
     if "half" in span:
         return np.asarray(span["centre"] + span["half"] * (2.0 * share - 1.0))
     if which in OVER_SPEED:
-        return np.asarray(span["most"] / CROWDED * np.sinh((2.0 * share - 1.0) * np.arcsinh(CROWDED)))
+        return speed_knots(span["most"])
     return np.asarray(share * span.get("end", span.get("most", 1.0)))
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.law.added_force import Motion
 from eps_tunnel_analysis.law.depends import moving, periods, refined
 from eps_tunnel_analysis.law.design import Design, Predictor
 from labyrinth_sim.trials import Array

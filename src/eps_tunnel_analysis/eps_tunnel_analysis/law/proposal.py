@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from eps_tunnel_analysis.diagnose.added_force import visited
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, floor_known, hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, search_of
@@ -20,7 +21,6 @@ from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, rank
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
-from eps_tunnel_analysis.law.added_force import visited
 from eps_tunnel_analysis.law.depends import (
     OF_SENSORS,
     OVER_SPEED,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from eps_tunnel_analysis.law.added_force import Motion
+from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.law.missing_force import MissingForce
 from eps_tunnel_analysis.law.proposal import Proposal
 from eps_tunnel_analysis.outputs import shown_number, shown_unit, shown_value
