@@ -11,6 +11,7 @@ from eps_tunnel_analysis.diagnose import axis as axis_module
 from eps_tunnel_analysis.diagnose.axis import diagnose_axis, hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.base_values import base_refit
+from eps_tunnel_analysis.diagnose.doubts import notes_of
 from eps_tunnel_analysis.diagnose.free_curves import free_curves, imitated
 from eps_tunnel_analysis.diagnose.rank import UNKNOWN
 from eps_tunnel_analysis.diagnose.refits import Refit
@@ -107,5 +108,7 @@ def test_what_a_curve_explains_where_names_only_imitate_it_is_unknown(monkeypatc
     found = diagnose_axis(bare(), [play], PART, SearchOptions(("constant_torque",), 1))
     assert found.ranking.probabilities[UNKNOWN] > 0.9
     assert found.ranking.unknown_but == "curve_speed.pendulum"
+    notes = notes_of(bare(), [PART], [PART], [play], [found])
+    assert sum(note.startswith("One torque over speed on pendulum, as a free curve") for note in notes) == 1
     monkeypatch.setattr(axis_module, "imitated", lambda refit, search: False)
     assert diagnose_axis(bare(), [play], PART, SearchOptions(("constant_torque",), 1)).ranking.unknown_but is None

@@ -16,6 +16,7 @@ from eps_tunnel_analysis.diagnose.ball import sees_ball
 from eps_tunnel_analysis.diagnose.base_values import base_from
 from eps_tunnel_analysis.diagnose.search import directions
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.verdict import in_words
 from eps_tunnel_analysis.fit.problem import by_axis
 from eps_tunnel_analysis.outputs import shown_times
 from eps_tunnel_analysis.simulated import Play
@@ -167,6 +168,12 @@ def notes_of(
             title = axis.part.title
             notes.append(
                 f"{title[0].upper()}{title[1:]}: the fit of {names} has not converged; its probability may be too low."
+            )
+        if axis.ranking.unknown_but:
+            curve = in_words(axis.ranking.unknown_but, model.registry).replace("free curve: ", "")
+            notes.append(
+                f"One {curve}, as a free curve without a formula, explains more than any set of effects: they only "
+                "imitate it."
             )
         for own in (model.rig.axis(name) for name in axis.part.axes):
             seen = [m for m in own.measured if m.signal in axis.part.signals]
