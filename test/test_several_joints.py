@@ -17,6 +17,7 @@ from eps_tunnel_analysis.diagnose.axes import diagnosed
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, joined
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.doubts import notes_of
+from eps_tunnel_analysis.diagnose.free_curves import free_curves
 from labyrinth_sim.build import COUPLED, coupled_axes
 from labyrinth_sim.model import load_model
 
@@ -55,6 +56,9 @@ def test_a_joint_is_judged_while_the_others_move_as_they_were_measured(tmp_path:
     assert max(axis.best.cost for axis in found) < 1.1
     (note,) = [n for n in notes_of(model, parts, parts, [play], found) if "moved as they were measured" in n]
     assert "(cross_coupling, supply_sag)" in note
+    among = bases.among(model, [play], found[1].part)
+    _, curves = free_curves(found[1].search, found[1].base, *among, found[1].part)
+    assert curves[0].cost < 1.1 < 20.0 < found[1].base.cost
 
 
 def test_only_axes_that_share_a_hundredth_of_their_inertia_are_taken_together(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def curve(values: Values, share: Array) -> Array:
     low = np.minimum(place.astype(np.int64), KNOTS - 2)
     t = place - low
     rows = np.arange(len(table)).reshape((-1,) + (1,) * (place.ndim - 1))
-    # One more knot at either end, where the parabola through the last three is (Keys 1981, equation 19).
+    # One more knot at either end, where the parabola through the last three lies, as Keys (1981) has it.
     table = np.column_stack([_beyond(*table.T[:3]), table, _beyond(*table.T[:-4:-1])])
     before, here, there, after = (table[rows, low + k] for k in range(4))
     first = 0.5 * (there - before)
