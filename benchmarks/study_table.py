@@ -2,6 +2,8 @@
 """Writes what a run of benchmarks/diagnosis.py measured into docs/diagnosis.md, between its two marks.
 
 python benchmarks/study_table.py out.json
+
+With --later a shorter table of a run that followed, between two marks of its own.
 """
 
 import argparse
@@ -15,6 +17,7 @@ from counting import Figure, Record, figures, is_right, is_undecided, reliabilit
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 BEGIN, END = "<!-- study: written by benchmarks/study_table.py -->", "<!-- end of the study -->"
+LATER = "<!-- later cases: written by benchmarks/study_table.py --later -->", "<!-- end of the later cases -->"
 KEYS = {  # key: what it means, and the bar
     "visible_right": ("single effects that show at over 3 times the floor: named right", "≥ 0.90"),
     "visible_undecided": ("the same: undecided, with the truth in the stated set", "≤ 0.08"),
@@ -40,26 +43,38 @@ KEYS = {  # key: what it means, and the bar
 BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, float("inf")))  # of visibility, times the floor
 
 
-def page(content: dict[str, Any]) -> str:
+def page(content: dict[str, Any], later: bool = False) -> str:
     """The part of the page, in Markdown."""
     records: list[Record] = content["cases"]
     kinds = Counter(r["kind"] for r in records)
     counts = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in sorted(kinds.items()))
     study = "" if content["study"] == "drawn" else f" --study {content['study']}"
+    asked = records[-1]["seed"] - content["seed"] + 1
     lines = [
-        f"{len(records)} cases of {content['date']}, seeds {records[0]['seed']} to {records[-1]['seed']}: {counts}. In",
+        f"{len(records)} cases of {content['date']}, seeds {_seeds(records)}: {counts}. In",
         "brackets: how many cases speak to a figure. Intervals are of 95 %.",
         "",
-        f"    python benchmarks/diagnosis.py --cases {len(records)} --seed {content['seed']}{study} "
+        f"    python benchmarks/diagnosis.py --cases {asked} --seed {content['seed']}{study} "
         f"--workers {content['workers']} --threads {content['threads']} --json out.json",
         "",
         "| key | means | measured | interval | bar |",
         "|---|---|---|---|---|",
     ]
     measured = figures(records)
+    if later:
+        told = [key for key in KEYS if measured[key].n]
+        lines += [f"| `{key}` | {KEYS[key][0]} | {_cells(measured[key])} | {KEYS[key][1]} |" for key in told]
+        return "\n".join([*lines, "", *_misses(records)]) + "\n"
     lines += [f"| `{key}` | {means} | {_cells(measured[key])} | {bar} |" for key, (means, bar) in KEYS.items()]
     lines += ["", *_by_effect(records), "", *_reliability(records), "", *_misses(records)]
     return "\n".join(lines) + "\n"
+
+
+def _seeds(records: Sequence[Record]) -> str:
+    """From the first to the last, and those between that were not run."""
+    run = [r["seed"] for r in records]
+    missing = sorted(set(range(run[0], run[-1])) - set(run))
+    return f"{run[0]} to {run[-1]}" + (f" without {', '.join(map(str, missing))}" if missing else "")
 
 
 def _cells(figure: Figure) -> str:
@@ -116,10 +131,13 @@ def main() -> None:
     """Rewrites the page's part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("json", type=Path)
-    content = json.loads(parser.parse_args().json.read_text(encoding="utf-8"))
-    text = PAGE.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
-    PAGE.write_text(f"{before}{BEGIN}\n{page(content)}{END}{rest.split(END)[1]}", encoding="utf-8")
+    parser.add_argument("--later", action="store_true", help="the shorter table of a run that followed")
+    given = parser.parse_args()
+    content = json.loads(given.json.read_text(encoding="utf-8"))
+    begin, end = LATER if given.later else (BEGIN, END)
+    before, rest = PAGE.read_text(encoding="utf-8").split(begin)
+    after = rest.split(end)[1]
+    PAGE.write_text(f"{before}{begin}\n{page(content, given.later)}{end}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":
