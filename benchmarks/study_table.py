@@ -61,12 +61,11 @@ def page(content: dict[str, Any], later: bool = False) -> str:
         "|---|---|---|---|---|",
     ]
     measured = figures(records)
-    if later:
-        told = [key for key in KEYS if measured[key].n]
-        lines += [f"| `{key}` | {KEYS[key][0]} | {_cells(measured[key])} | {KEYS[key][1]} |" for key in told]
-        return "\n".join([*lines, "", *_misses(records)]) + "\n"
-    lines += [f"| `{key}` | {means} | {_cells(measured[key])} | {bar} |" for key, (means, bar) in KEYS.items()]
-    lines += ["", *_by_effect(records), "", *_reliability(records), "", *_misses(records)]
+    told = [key for key in KEYS if measured[key].n or not later]
+    lines += [f"| `{key}` | {KEYS[key][0]} | {_cells(measured[key])} | {KEYS[key][1]} |" for key in told]
+    if not later:
+        lines += ["", *_by_effect(records), "", *_reliability(records)]
+    lines += ["", *_misses(records)]
     return "\n".join(lines) + "\n"
 
 

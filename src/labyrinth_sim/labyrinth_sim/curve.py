@@ -5,10 +5,11 @@ Between the knots the curve is the cubic of Keys (1981) through them, whose slop
 neighbours, or that of the parabola through the last three; before the first knot and after the last it is constant.
 """
 
-import math
+from typing import Any
 
 import numba
 import numpy as np
+from numba.extending import register_jitable
 
 from labyrinth_sim.effect import Parameter, Values
 from labyrinth_sim.law import State
@@ -32,10 +33,33 @@ def bounds_of_range(name: str, unit: str, low: float, high: float, typical: floa
     return Parameter(name, unit, low, high, None, typical, "the range that the recordings visit", fitted=False)
 
 
-@numba.njit  # type: ignore[untyped-decorator]
-def _beyond(last: float, second: float, third: float) -> float:
-    """The value one knot beyond the last of three on a parabola."""
+@register_jitable  # type: ignore[untyped-decorator]
+def _beyond(last: Any, second: Any, third: Any) -> Any:
+    """The value one knot beyond the last of three on a parabola; numbers or arrays."""
     return 3.0 * last - 3.0 * second + third
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _cubic(before: Any, here: Any, there: Any, after: Any) -> tuple[Any, Any, Any]:
+    """Factors of t, t^2 and t^3 of Keys' cubic from `here` at t = 0 to `there` at t = 1; numbers or arrays."""
+    third = 0.5 * (after - before) + 1.5 * (here - there)
+    return 0.5 * (there - before), before - 2.5 * here + 2.0 * there - 0.5 * after, third
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def share_about(variable: Any, centre: Any, half: Any) -> Any:
+    """Share of the range `centre` - `half` to `centre` + `half`; numbers or arrays."""
+    return 0.5 + 0.5 * (variable - centre) / half
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _crowded(speed: Any, most: Any) -> tuple[Any, Any]:
+    """The x from -1 to 1 of a speed = x (|x| + c) / (1 + c) most, with c = 1 / CROWDED, and a root; numbers or arrays.
+
+    The slope of x by the speed is (CROWDED + 1) / (root most).
+    """
+    root = np.sqrt(1.0 + 4.0 * CROWDED * (CROWDED + 1.0) * np.abs(speed) / most)
+    return np.copysign(root - 1.0, speed) / (2.0 * CROWDED), root
 
 
 def curve(values: Values, share: Array) -> Array:
@@ -53,10 +77,8 @@ def curve(values: Values, share: Array) -> Array:
     # One more knot at either end, where the parabola through the last three lies, as Keys (1981) has it.
     table = np.column_stack([_beyond(*table.T[:3]), table, _beyond(*table.T[:-4:-1])])
     before, here, there, after = (table[rows, low + k] for k in range(4))
-    first = 0.5 * (there - before)
-    second = before - 2.5 * here + 2.0 * there - 0.5 * after
-    third = 0.5 * (after - before) + 1.5 * (here - there)
-    return ((third * t + second) * t + first) * t + here
+    first, second, third = _cubic(before, here, there, after)
+    return np.asarray(((third * t + second) * t + first) * t + here)
 
 
 @numba.njit  # type: ignore[untyped-decorator]
@@ -70,9 +92,7 @@ def curve_and_slope(values: Array, share: float) -> tuple[float, float]:
     here, there = values[low], values[low + 1]
     before = values[low - 1] if low > 0 else _beyond(here, there, values[2])
     after = values[low + 2] if low < KNOTS - 2 else _beyond(there, here, values[KNOTS - 3])
-    first = 0.5 * (there - before)
-    second = before - 2.5 * here + 2.0 * there - 0.5 * after
-    third = 0.5 * (after - before) + 1.5 * (here - there)
+    first, second, third = _cubic(before, here, there, after)
     value = ((third * t + second) * t + first) * t + here
     return value, (KNOTS - 1) * ((3.0 * third * t + 2.0 * second) * t + first)
 
@@ -80,7 +100,7 @@ def curve_and_slope(values: Array, share: float) -> tuple[float, float]:
 @numba.njit  # type: ignore[untyped-decorator]
 def over_angle(values: Array, angle: float) -> float:
     """The curve at an angle; `centre` and `half` of its range follow the table."""
-    value, _ = curve_and_slope(values, 0.5 + 0.5 * (angle - values[KNOTS]) / values[KNOTS + 1])
+    value, _ = curve_and_slope(values, share_about(angle, values[KNOTS], values[KNOTS + 1]))
     return value
 
 
@@ -95,11 +115,10 @@ def from_zero(values: Array, variable: float) -> float:
 def over_speed(values: Array, speed: float) -> tuple[float, float]:
     """The curve at a speed, and its slope; `most`, at which its range ends on either side, follows the table.
 
-    Its knots are crowded about zero, because dry friction changes there and hardly elsewhere: speed = x (|x| + c) /
-    (1 + c) most, with x from -1 to 1 and c = 1 / CROWDED. So friction and drag are polynomials of x.
+    Its knots are evenly spaced over `_crowded`, because dry friction changes about zero and hardly elsewhere. So
+    friction and drag are polynomials between them.
     """
-    root = math.sqrt(1.0 + 4.0 * CROWDED * (CROWDED + 1.0) * abs(speed) / values[KNOTS])
-    x = math.copysign((root - 1.0) / (2.0 * CROWDED), speed)
+    x, root = _crowded(speed, values[KNOTS])
     value, slope = curve_and_slope(values, 0.5 + 0.5 * x)
     return value, 0.5 * slope * (CROWDED + 1.0) / (root * values[KNOTS])
 
@@ -114,14 +133,13 @@ def angle_share(angle: Array, values: Values) -> Array:
     """Share of the range `centre` - `half` to `centre` + `half`; an angle (nsim,) or (nsim, K)."""
     shape = (-1,) + (1,) * (angle.ndim - 1)
     centre, half = values["centre"].reshape(shape), values["half"].reshape(shape)
-    return 0.5 + 0.5 * (angle - centre) / half
+    return np.asarray(share_about(angle, centre, half))
 
 
 def speed_share(speed: Array, values: Values) -> Array:
     """Share of the range -`most` to `most` by which a curve over a speed is read; a speed (nsim,) or (nsim, K)."""
     most = values["most"].reshape((-1,) + (1,) * (speed.ndim - 1))
-    root = np.sqrt(1.0 + 4.0 * CROWDED * (CROWDED + 1.0) * np.abs(speed) / most)
-    return np.asarray(0.5 + np.copysign(root - 1.0, speed) / (4.0 * CROWDED))
+    return np.asarray(0.5 + 0.5 * _crowded(speed, most)[0])
 
 
 def speed_knots(most: float) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.added_force import Motion, visited
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.design import DRAWS, Design, Explained, Predictor, Rows
-from labyrinth_sim.curve import KNOTS, NAMES, curve, speed_knots, speed_share
+from labyrinth_sim.curve import KNOTS, NAMES, curve, share_about, speed_knots, speed_share
 from labyrinth_sim.trials import Array
 
 SURROGATES = 39
@@ -110,7 +110,7 @@ def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str
     against, ones = moving(motion), np.ones(len(motion.time))
 
     def of_angle(angle: Array, span: Mapping[str, float]) -> Array:
-        return 0.5 + 0.5 * (angle - span["centre"]) / span["half"]
+        return np.asarray(share_about(angle, span["centre"], span["half"]))
 
     by_speed = of_speed(motion.speed, spans)
     angle, end = of_angle(motion.angle, spans["curve_angle"]), spans["curve_time"]["end"]
@@ -156,7 +156,7 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
     )
     span = spans["curve_angle"]
     for number in sensors(design, positions):
-        over_angle = [hats(0.5 + 0.5 * (a - span["centre"]) / span["half"]) for a in design.angles(number)]
+        over_angle = [hats(share_about(a, span["centre"], span["half"])) for a in design.angles(number)]
         over_speed = [hats(of_speed(v, spans)) for v in design.speeds(number)]
         every += [
             Variable(f"{what}, as a sensor's error", curve, missing.signals[number], errors, number)
@@ -170,7 +170,7 @@ def _of_command(design: Design, angles: Mapping[str, float]) -> list[Variable]:
     rows, over, signs = [], [], []
     for p in design.plays:
         on = np.isfinite(p.motion.command)
-        share = np.where(on, 0.5 + 0.5 * (np.nan_to_num(p.motion.command) - angles["centre"]) / angles["half"], 0.5)
+        share = np.where(on, share_about(np.nan_to_num(p.motion.command), angles["centre"], angles["half"]), 0.5)
         rows.append(np.column_stack([p.at_nodes(column) for column in (hats(share) * on[:, None]).T]))
         over.append(p.at_nodes(share))
         signs.append(p.at_nodes(on.astype(float)))
