@@ -288,7 +288,7 @@ def main() -> None:
     given = parser.parse_args()
     budget, generations, tunings, count = given.budget, given.generations, TUNINGS, PROBES
     if given.quick:
-        budget, generations, tunings, count = 60, 2, 1, 4
+        budget, generations, tunings, count = 120, 2, 1, 4
     started, seed, records = time.monotonic(), given.seed, list[dict[str, Any]]()
     setting = {"quick": given.quick, "seed": seed, "budget": budget, "generations": generations,
                "tunings": tunings, "probes": count}  # fmt: skip

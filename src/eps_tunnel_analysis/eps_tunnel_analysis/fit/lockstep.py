@@ -58,6 +58,7 @@ def descend(
     tolerance: float = 1e-4,
     hopeless: Callable[[Array], NDArray[np.bool_]] | None = None,
     response: float | None = None,
+    relative: bool = False,
     slopes: BatchResiduals | None = None,
     width: float | Array = 1.0,
 ) -> Descent:
@@ -74,6 +75,7 @@ def descend(
         response: root mean square by which a finite difference is to change the residuals; each is adapted to that.
             Too small a one measures the misfit's roughness from stiction and ticks instead of its slope; a problem
             that makes no progress continues with wider ones before it rests.
+        relative: the response is a share of the root mean square that is left.
         slopes: a cheaper simulator, whose slopes replace the simulator's until a problem makes no progress with them.
         width: of the box, one for all values or (K,).
     """
@@ -120,7 +122,8 @@ def descend(
             evaluations += used
             if response is not None:
                 for b, (jacobian, columns) in fresh.items():
-                    steps[b, columns] = _adapted(steps[b, columns], jacobian, response * wide[b])
+                    size = np.sqrt(cost[b]) if relative else 1.0
+                    steps[b, columns] = _adapted(steps[b, columns], jacobian, response * size * wide[b])
         tried = np.repeat(active, len(DAMPINGS))
         factors = np.tile(DAMPINGS, len(active)) * damping[tried]
         proposals = np.array(

@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The optimisers: the paper's evolution strategy, CMA-ES with restarts, multistart Gauss-Newton."""
 
-from contextlib import suppress
+import itertools
 from dataclasses import dataclass
-from typing import Literal
 
 import cma
 import numpy as np
-from scipy.optimize import least_squares
+from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from eps_tunnel_analysis.fit.differences import jacobian, moved
 from eps_tunnel_analysis.fit.evaluations import Evaluations
+from eps_tunnel_analysis.fit.lockstep import descend
 from labyrinth_sim.trials import Array
+
+DIFFERENCE = 1e-3  # finite differences to begin with, normalised
+SOFT = 0.1  # of the root mean square: residuals beyond it count by their magnitude
+FIRM = 1e-3  # of the largest singular value: directions that may compensate
+COMPENSATED = 2  # steps
+HELPS = 0.01  # share of the fitness that one more search must gain to be followed by another
 
 
 @dataclass(frozen=True)
@@ -99,100 +105,109 @@ class CmaEs:
                 return
 
 
-class _Enough(Exception):
-    """This descent has stalled, or will not beat the best."""
-
-
 @dataclass(frozen=True)
 class GaussNewton:
-    """Multistart Gauss-Newton (scipy) with each Jacobian as one batch, and a CMA-ES polish where it stalls.
+    """Multistart Gauss-Newton, each round of all descents in one batch, and a CMA-ES polish of the best.
+
+    Least squares first, for its wide basin; then near the absolute error that equation 10 asks for. Values that can
+    compensate for one another, such as P, D and delay, have several valleys in a row, so the search also goes on from
+    points far from the best along the direction that it determines least.
 
     Attributes:
         scouts: random points evaluated in addition to the start, in one batch.
-        starts: local searches, from the best of them.
-        difference: step of the finite differences, in normalised units.
-        iterations: of each local search, at most.
-        patience: iterations after which a search ends that has gained less than the share `gain` in them, or that is
-            still `hopeless` times worse than the best.
+        starts: descents at once: from the best scouts, then from the best points along the weakest direction.
+        rounds: of each descent, at most.
+        tolerance: relative gain of a round below which a descent ends.
+        response: by how much finite differences change the residuals, in shares of their root mean square. Smaller ones
+            see the misfit's roughness from stiction, ticks and delays instead of its slope.
+        patience: rounds after which a descent ends that still leaves `hopeless` times the best squared error.
+        passes: searches along the weakest direction, as long as they help.
+        away: nearest and farthest point there, in normalised units.
+        scanned: points to either side.
         polish: evaluations of a CMA-ES from the best point, 0 for none. Delay and backlash have kinks at which
             Gauss-Newton stalls.
     """
 
-    scouts: int = 32
+    scouts: int = 24
     starts: int = 3
-    difference: float = 1e-4
-    iterations: int = 12
+    rounds: int = 12
+    tolerance: float = 1e-3
+    response: float = 0.5
     patience: int = 3
-    gain: float = 2e-3
-    hopeless: float = 1.5
-    polish: int = 96
+    hopeless: float = 4.0
+    passes: int = 3
+    away: tuple[float, float] = (0.01, 0.5)
+    scanned: int = 8
+    polish: int = 64
     name: str = "gauss-newton"
 
     @property
     def budget(self) -> int:
         """A guess for the progress bar; a run that converges early takes fewer."""
-        return self.scouts + self.starts * self.iterations * 5 + self.polish
+        return self.scouts + 2 * self.starts * self.rounds * 4 + self.polish
 
     def run(self, evaluations: Evaluations, rng: np.random.Generator) -> None:
         """Minimise; the result is `evaluations.best`."""
-        k = evaluations.problem.size
-        scouts = qmc.LatinHypercube(d=k, rng=rng).random(self.scouts)
+        scouts = qmc.LatinHypercube(d=evaluations.problem.size, rng=rng).random(self.scouts)
         points = np.vstack([evaluations.best, scouts])
         order = np.argsort(evaluations.fitness(points), kind="stable")
-        for start in points[order[: self.starts]]:
-            self._descend(evaluations, start, loss="linear")
-        # Least squares first, for its wide basin; then near the absolute error that equation 10 asks for.
-        self._descend(evaluations, evaluations.best, loss="soft_l1")
+        self._descend(evaluations, points[order[: self.starts]])
+        for _ in range(self.passes):
+            before = evaluations.best_fitness
+            self._descend(evaluations, self._along_weakest(evaluations))
+            if evaluations.best_fitness > (1.0 - HELPS) * before:
+                break
+        best = evaluations.best
+        size = float(np.sqrt(np.mean(_scaled(evaluations, best[None]) ** 2)))
+        if size > 0.0:
+            self._descend(evaluations, best[None], soft=SOFT * size)
         if self.polish:
             CmaEs(budget=self.polish, sigma=0.01, restarts=0).run(evaluations, rng)
 
-    def _descend(self, evaluations: Evaluations, start: Array, loss: Literal["linear", "soft_l1"]) -> None:
-        problem = evaluations.problem
-        known: dict[bytes, tuple[Array, Array]] = {}
-        tried: list[tuple[float, float]] = []  # fitness and sum of squares
-        best = evaluations.best_fitness
+    def _descend(self, evaluations: Evaluations, starts: Array, soft: float | None = None) -> None:
+        done = itertools.count(1)
 
-        def look(z: Array) -> tuple[Array, Array]:
-            """Residuals (R,) and Jacobian (R, k) in one batch; steps are seldom rejected, so the latter is needed."""
-            if z.tobytes() not in known:
-                points, steps = moved(z, self.difference)
-                answers = evaluations.residuals(np.vstack([z, points]))
-                scaled = finite(problem.fitness.scaled(answers))
-                tried.append((float(problem.fitness(answers[:1])[0]), float(scaled[0] @ scaled[0])))
-                if len(tried) > self.patience and (self._stalled(tried) or min(tried)[0] > self.hopeless * best):
-                    raise _Enough
-                known.clear()
-                known[z.tobytes()] = scaled[0], jacobian(scaled[0], scaled[1:], steps)
-            return known[z.tobytes()]
+        def residuals(z: Array, _: NDArray[np.int64]) -> Array:
+            seen = _scaled(evaluations, z)
+            return seen if soft is None else softened(seen, soft)
 
-        def residuals(z: Array) -> Array:
-            return look(z)[0]
+        def hopeless(cost: Array) -> NDArray[np.bool_]:
+            late = next(done) >= self.patience
+            return late & (cost > self.hopeless * np.min(cost))
 
-        def slopes(z: Array) -> Array:
-            return look(z)[1]
+        if len(starts):
+            free = np.ones(starts.shape, dtype=bool)
+            descend(residuals, starts, free, self.rounds, DIFFERENCE, self.tolerance, hopeless, self.response, True)
 
-        first = np.clip(start, 1e-9, 1.0 - 1e-9)
-        scale = 0.1 * float(np.sqrt(np.mean(look(first)[0] ** 2))) or 1.0
-        with suppress(_Enough):
-            least_squares(
-                residuals,
-                first,
-                jac=slopes,
-                bounds=(0.0, 1.0),
-                loss=loss,
-                f_scale=scale,
-                x_scale="jac",
-                max_nfev=self.iterations,
-                ftol=1e-4,
-                xtol=1e-5,
-                gtol=1e-10,
-            )
+    def _along_weakest(self, evaluations: Evaluations) -> Array:
+        """(n, k) the lowest points to either side of the best one, along the direction that it determines least.
 
-    def _stalled(self, tried: list[tuple[float, float]]) -> bool:
-        before, now = np.min(tried[: -self.patience], axis=0), np.min(tried, axis=0)
-        return bool((now > (1.0 - self.gain) * before).all())
+        The other directions compensate for each step along it, by the slopes at the best point.
+        """
+        z = evaluations.best
+        points, steps = moved(z, DIFFERENCE)
+        answers = _scaled(evaluations, np.vstack([z, points]))
+        left, sizes, right = np.linalg.svd(jacobian(answers[0], answers[1:], steps), full_matrices=False)
+        away = np.outer(np.geomspace(*self.away, self.scanned), right[-1])
+        rows = np.clip(z + np.concatenate([away, -away]), 0.0, 1.0)
+        firm = sizes[:-1] > FIRM * sizes[0]
+        for _ in range(COMPENSATED):
+            back = (_scaled(evaluations, rows) @ left[:, :-1])[:, firm] / sizes[:-1][firm]
+            rows = np.clip(rows - back @ right[:-1][firm], 0.0, 1.0)
+        costs = np.mean(_scaled(evaluations, rows) ** 2, axis=1).reshape(2, -1)
+        padded = np.pad(costs, ((0, 0), (1, 1)), constant_values=np.inf)
+        lowest = np.where(costs <= np.minimum(padded[:, :-2], padded[:, 2:]), costs, np.inf).ravel()
+        order = np.argsort(lowest, kind="stable")[: self.starts]
+        return rows[order[np.isfinite(lowest[order])]]
 
 
-def finite(residuals: Array) -> Array:
-    """Residuals with diverged roll-outs made large rather than NaN, so that a step into them is rejected."""
-    return np.nan_to_num(residuals, nan=1e3, posinf=1e3, neginf=-1e3)
+def _scaled(evaluations: Evaluations, z: Array) -> Array:
+    """(n, R) residuals in the fitness's scaling; those of diverged roll-outs are large, so that no step goes there."""
+    seen = evaluations.problem.fitness.scaled(evaluations.residuals(z))
+    return np.nan_to_num(seen, nan=1e3, posinf=1e3, neginf=-1e3)
+
+
+def softened(residuals: Array, scale: float) -> Array:
+    """Residuals whose squares grow like the magnitude of the given ones beyond a scale (soft L1)."""
+    square = 2.0 * scale**2 * (np.sqrt(1.0 + (residuals / scale) ** 2) - 1.0)
+    return np.sign(residuals) * np.sqrt(square)
