@@ -16,6 +16,7 @@ from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
 from eps_tunnel_analysis.diagnose.axes import with_refits
 from eps_tunnel_analysis.diagnose.axis import (
     AxisDiagnosis,
+    begun,
     nested_refits,
     next_refits,
     refined,
@@ -548,3 +549,21 @@ def test_a_drives_value_is_mistaken_for_no_effect(search: Search) -> None:
     value = replace(first, effect=replace(first.effect, name="drive.x"))
     search.library = replace(search.library, candidates=(value, *rest))
     assert rival_refits(search, refit(search, (value.name,), 1.0), []) == []
+
+
+def test_a_tick_is_found_beside_an_effect_whose_own_fit_hides_it() -> None:
+    levels = np.radians(np.random.default_rng(2).uniform(-10.0, 10.0, 8))
+    targets = np.repeat(np.append(0.0, levels[1:]), 40)
+    tick, model = np.abs(targets).max() / 20.6, start().with_values(TRUTH)
+    truth = model.with_effect("command_quantisation", "x", {"tick": tick})
+    truth = truth.with_effect("dead_band", "x", {"half_width": 0.5 * tick, "jump": 0.0})
+    trials = [Play("levels", made_by(truth, np.column_stack([targets, 0.0 * targets])))]
+    part = next(p for p in axis_parts(model, trials) if p.name == "x")
+    search = axis_search(model, trials, part, SearchOptions(("command_quantisation", "dead_band"), 1))
+    base = search.refit([((), search.start)], 6)[0]
+    single = next_refits(search, [base])
+    (found,) = tick_refits(search, begun(search, base, single), 1.1)
+    assert set(found.effects) == {"command_quantisation.x", "dead_band.x"}
+    column = search.library.names.index("command_quantisation.x.tick")
+    assert found.values[column] == pytest.approx(tick, rel=0.25 / 20.6)
+    assert found.cost < 0.05 * min(r.cost for r in (*single, *tick_refits(search, [base, single[0]], 1.1)))

@@ -33,6 +33,8 @@ STARTS_EACH = 3  # places in each where an effect of several values starts
 ROUNDS = 6
 PAIR_SHORTLIST = 4
 MOST_EFFECTS = 3  # on one axis
+BEGINNINGS = 3  # effects of which a little is added to the base, before further ones are tried, and
+A_LITTLE = 0.05  # how much, of a typical one
 RIVALS = 4  # of an effect that are refitted in its place
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
@@ -116,6 +118,26 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     beside = [np.concatenate([again[0].values[:size], r.values[size:]]) for r in near]
     named = [search.library.of(r.effects) for r in near]
     return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
+
+
+def begun(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
+    """The base with a little of one more effect, for each of those that explain most by themselves.
+
+    Where something else acts as well, a tick above all, the values that an effect is fitted with by itself are wrong,
+    and on top of them so is what explains most. Here the effect's slopes compensate for as much as they can.
+    """
+    single = [r.effects for r in sorted(refits, key=lambda r: r.cost) if len(r.effects) == 1][:BEGINNINGS]
+    search.settle_at(base)
+    return [replace(search.at(_weak(search, base.values, effects), base), effects=effects) for effects in single]
+
+
+def _weak(search: Search, values: Array, effects: Sequence[str]) -> Array:
+    """(K,) values with a little of some effects, because at their off values they have no slope."""
+    weak = values.copy()
+    for candidate in search.library.of(effects):
+        for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
+            weak[column] = weak[column] if p.off is None else p.off + A_LITTLE * (p.typical - p.off)
+    return weak
 
 
 def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Refit]:
@@ -214,11 +236,7 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
         added.remove(general.name)
     if set(smaller.effects) == set(larger.effects):
         return None
-    for name in added:  # new effects begin weak, because at their off values they have no slope
-        candidate = search.library.find(name)
-        for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
-            if p.off is not None:
-                values[column] = p.off + 0.05 * (p.typical - p.off)
+    values = _weak(search, values, tuple(added))
     return np.clip(values, search.low, search.high)
 
 
@@ -367,12 +385,14 @@ def refitted_sets(
             return worst_floors(refit.residuals, search.signal) > enough(refit, refits)
 
         if lacking(best):
-            ticks = tick_refits(search, list({r.effects: r for r in (base, best)}.values()), allowed)
+            ticks = tick_refits(search, [*{r.effects: r for r in (base, best)}.values(),
+                                         *begun(search, base, refits)], allowed)  # fmt: skip
             refits = best_by_set([*refits, *ticks])
             best = lowest([best, *ticks])
             worth = _explains(base, best)
         while worth and 0 < len(best.effects) < most and lacking(best):
-            more = next_refits(search, [best, *_runners_up(best, refits)], PAIR_SHORTLIST)
+            beside = begun(search, base, refits) if len(best.effects) == 1 else []
+            more = next_refits(search, [best, *_runners_up(best, refits), *beside], PAIR_SHORTLIST)
             more += rival_refits(search, lowest(more), [*refits, *more]) if more else []
             refits = best_by_set([*refits, *more])
             better = lowest([best, *more])
