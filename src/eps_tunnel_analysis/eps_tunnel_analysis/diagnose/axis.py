@@ -204,7 +204,7 @@ def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
     """The best sets of effects, single ones included, each without one effect, at the values of the full set."""
     jobs: list[Job] = []
     ordered = sorted(refits, key=lambda r: r.cost)
-    several, single = ([r for r in ordered if (len(r.effects) > 1) == many] for many in (True, False))
+    several, single = ([r for r in ordered if r.several == many] for many in (True, False))
     for refit in (*several[:TAKEN_APART], *single[:TAKEN_APART]):
         for name in refit.effects:
             kept = search.library.of(n for n in refit.effects if n != name)

@@ -28,7 +28,7 @@ def imitated(refit: Refit, search: Search) -> bool:
     """Whether a refit may be a sum of effects that only imitates another one: it has several and leaves more than a
     healthy rig does.
     """
-    return len(refit.effects) > 1 and worst_floors(refit.residuals, search.signal) > SETTINGS.healthy
+    return refit.several and worst_floors(refit.residuals, search.signal) > SETTINGS.healthy
 
 
 def free_curves(

@@ -229,7 +229,7 @@ def rank(
 def _nameless(curve: Hypothesis, named: Hypothesis, base: Hypothesis, unit: float) -> bool:
     """Whether a free curve explains clearly more than the best named set does."""
     room = _curve_room(base.cost / unit, curve.cost / unit) * unit
-    several = len(named.refit.effects) > 1
+    several = named.refit.several
     return bool(named.cost - curve.cost > room or (several and curve.cost <= SETTINGS.healthy * unit < named.cost))
 
 
@@ -339,7 +339,7 @@ def _probabilities(
     allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     # A sum of effects may leave nothing for its forms where one curve does without: it may only imitate that one.
-    several = np.array([len(h.refit.effects) > 1 for h in hypotheses])
+    several = np.array([h.refit.several for h in hypotheses])
     enough = 1.0 - _soft(np.log(np.maximum(curve, 1e-12) / SETTINGS.healthy))
     formed = kept * np.maximum(base - 1.0, 0.0)[:, None] * np.where(several, 1.0 - enough[:, None], 1.0)
     formed = np.maximum(formed, np.maximum(level - 1.0, 0.0))

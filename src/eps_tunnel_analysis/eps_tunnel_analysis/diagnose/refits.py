@@ -40,6 +40,11 @@ class Refit:
     steps: Array | None = None
 
     @property
+    def several(self) -> bool:
+        """Whether it has more than one effect."""
+        return len(self.effects) > 1
+
+    @property
     def objective(self) -> float:
         """What a descent minimises."""
         return self.cost + self.held
