@@ -129,7 +129,7 @@ def models(recording: Play, quick: bool, budget: int) -> Iterator[GradedModel]:
             effect, place = name.split(".")
             model = model.with_effect(effect, place)
             free += [f"{name}.{p.name}" for p in model.registry.effect(effect).parameters if p.fitted]
-        method = GaussNewton(scouts=24, starts=2, polish=40)
+        method = GaussNewton(starts=2)
         fit = calibrate(model, free, [recording], Settings(method=method, signals=SIGNALS, budget=budget, nthread=1))
         model = model.with_values(fit.values)
         yield GradedModel(" + ".join(("calibrated", *effects)), model)

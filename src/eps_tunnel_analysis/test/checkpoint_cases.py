@@ -14,7 +14,7 @@ from eps_tunnel_analysis.fit.methods import CmaEs, EvolutionStrategy, GaussNewto
 METHODS = {
     "es": EvolutionStrategy(offspring=8, generations=5),
     "cma": CmaEs(budget=40),
-    "gauss-newton": GaussNewton(scouts=8, starts=2, rounds=4, passes=1, polish=12),
+    "gauss-newton": GaussNewton(scouts=8, starts=2, rounds=4, passes=1),
 }
 FREE = ("drive.x.p", "drive.x.delay")
 

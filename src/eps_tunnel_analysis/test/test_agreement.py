@@ -13,7 +13,7 @@ from eps_tunnel_analysis.inputs import load_recorded
 from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import stamped_from_grid
 
-QUICK = GaussNewton(scouts=4, starts=1, passes=0, polish=0)
+QUICK = GaussNewton(scouts=4, starts=1, passes=0)
 FREE = ("drive.x.p", "drive.x.delay")
 
 

@@ -12,7 +12,7 @@ from eps_tunnel_analysis.fit.intervals import intervals, trade_offs, widened
 from eps_tunnel_analysis.fit.methods import GaussNewton
 from eps_tunnel_analysis.simulated import Play
 
-QUICK = GaussNewton(scouts=4, starts=1, passes=0, polish=0)
+QUICK = GaussNewton(scouts=4, starts=1, passes=0)
 P = ("drive.x.p",)
 
 

@@ -15,7 +15,6 @@ from eps_tunnel_analysis.fit.lockstep import descend
 from labyrinth_sim.trials import Array
 
 DIFFERENCE = 1e-3  # finite differences to begin with, normalised
-SOFT = 0.1  # of the root mean square: residuals beyond it count by their magnitude
 FIRM = 1e-3  # of the largest singular value: directions that may compensate
 COMPENSATED = 2  # steps
 HELPS = 0.01  # share of the fitness that one more search must gain to be followed by another
@@ -107,11 +106,11 @@ class CmaEs:
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Multistart Gauss-Newton, each round of all descents in one batch, and a CMA-ES polish of the best.
+    """Multistart Gauss-Newton, each round of all descents in one batch.
 
-    Least squares first, for its wide basin; then near the absolute error that equation 10 asks for. Values that can
-    compensate for one another, such as P, D and delay, have several valleys in a row, so the search also goes on from
-    points far from the best along the direction that it determines least.
+    Values that can compensate for one another, such as P, D and delay, have several valleys in a row, so the search
+    also goes on from points far from the best along the direction that it determines least. Least squares, also for the
+    absolute error of equation 10: there it determines the values better, and that error is hardly larger.
 
     Attributes:
         scouts: random points evaluated in addition to the start, in one batch.
@@ -124,8 +123,6 @@ class GaussNewton:
         passes: searches along the weakest direction, as long as they help.
         away: nearest and farthest point there, in normalised units.
         scanned: points to either side.
-        polish: evaluations of a CMA-ES from the best point, 0 for none. Delay and backlash have kinks at which
-            Gauss-Newton stalls.
     """
 
     scouts: int = 24
@@ -138,13 +135,12 @@ class GaussNewton:
     passes: int = 3
     away: tuple[float, float] = (0.01, 0.5)
     scanned: int = 8
-    polish: int = 64
     name: str = "gauss-newton"
 
     @property
     def budget(self) -> int:
         """A guess for the progress bar; a run that converges early takes fewer."""
-        return self.scouts + 2 * self.starts * self.rounds * 4 + self.polish
+        return self.scouts + 2 * self.starts * self.rounds * 4
 
     def run(self, evaluations: Evaluations, rng: np.random.Generator) -> None:
         """Minimise; the result is `evaluations.best`."""
@@ -157,19 +153,9 @@ class GaussNewton:
             self._descend(evaluations, self._along_weakest(evaluations))
             if evaluations.best_fitness > (1.0 - HELPS) * before:
                 break
-        best = evaluations.best
-        size = float(np.sqrt(np.mean(_scaled(evaluations, best[None]) ** 2)))
-        if size > 0.0:
-            self._descend(evaluations, best[None], soft=SOFT * size)
-        if self.polish:
-            CmaEs(budget=self.polish, sigma=0.01, restarts=0).run(evaluations, rng)
 
-    def _descend(self, evaluations: Evaluations, starts: Array, soft: float | None = None) -> None:
+    def _descend(self, evaluations: Evaluations, starts: Array) -> None:
         done = itertools.count(1)
-
-        def residuals(z: Array, _: NDArray[np.int64]) -> Array:
-            seen = _scaled(evaluations, z)
-            return seen if soft is None else softened(seen, soft)
 
         def hopeless(cost: Array) -> NDArray[np.bool_]:
             late = next(done) >= self.patience
@@ -177,7 +163,8 @@ class GaussNewton:
 
         if len(starts):
             free = np.ones(starts.shape, dtype=bool)
-            descend(residuals, starts, free, self.rounds, DIFFERENCE, self.tolerance, hopeless, self.response, True)
+            descend(lambda z, _: _scaled(evaluations, z), starts, free, self.rounds, DIFFERENCE, self.tolerance,
+                    hopeless, self.response, True)  # fmt: skip
 
     def _along_weakest(self, evaluations: Evaluations) -> Array:
         """(n, k) the lowest points to either side of the best one, along the direction that it determines least.
@@ -205,9 +192,3 @@ def _scaled(evaluations: Evaluations, z: Array) -> Array:
     """(n, R) residuals in the fitness's scaling; those of diverged roll-outs are large, so that no step goes there."""
     seen = evaluations.problem.fitness.scaled(evaluations.residuals(z))
     return np.nan_to_num(seen, nan=1e3, posinf=1e3, neginf=-1e3)
-
-
-def softened(residuals: Array, scale: float) -> Array:
-    """Residuals whose squares grow like the magnitude of the given ones beyond a scale (soft L1)."""
-    square = 2.0 * scale**2 * (np.sqrt(1.0 + (residuals / scale) ** 2) - 1.0)
-    return np.sign(residuals) * np.sqrt(square)
