@@ -159,6 +159,15 @@ def test_bad_bounds_are_all_told_at_once() -> None:
     assert len(caught.value.complaints) == 2
 
 
+def test_no_rounding_leads_out_of_the_bounds() -> None:
+    rng = np.random.default_rng(0)
+    low, high = -np.sort(rng.uniform(0.01, 10.0, (2, 500)), axis=0)[::-1]
+    names = tuple(str(i) for i in range(500))
+    many = Problem(**{**problem().__dict__, "names": names, "units": names, "low": low, "high": high, "start": high})
+    assert (many.from_unit(np.ones(500)) <= high).all() and (many.from_unit(np.zeros(500)) >= low).all()
+    assert (low + (high - low) > high).any(), "rounding alone does"
+
+
 def test_dissimilarity_is_lowest_at_the_truth_and_slopes_towards_it() -> None:
     fitness = Dissimilarity(np.full(TIME.size, 0.01), np.full(TIME.size, 0.01))
     gains = np.linspace(0.8, 1.6, 9)

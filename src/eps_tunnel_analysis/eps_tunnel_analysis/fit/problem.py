@@ -255,7 +255,8 @@ class Problem:
 
     def from_unit(self, z: Array) -> Array:
         """z (..., k) in [0, 1] to values in their units."""
-        return self.low + np.clip(z, 0.0, 1.0) * (self.high - self.low)
+        values = self.low + np.clip(z, 0.0, 1.0) * (self.high - self.low)
+        return np.clip(values, self.low, self.high)  # rounding may lead out of the bounds by a last digit
 
 
 class Objective:
