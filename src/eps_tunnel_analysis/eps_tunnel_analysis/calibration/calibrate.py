@@ -14,7 +14,6 @@ from eps_tunnel_analysis.alikeness import KS, rig_against_itself
 from eps_tunnel_analysis.calibration.agreement import differing
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.diagnose.discrepancy import Discrepancy, discrepancy, start_pose_deviation
-from eps_tunnel_analysis.fit.differences import jacobian, moved
 from eps_tunnel_analysis.fit.evaluations import BudgetSpent, Evaluations, FitProgress, Improvement, Journal
 from eps_tunnel_analysis.fit.intervals import (
     Intervals,
@@ -387,11 +386,7 @@ def _around(evaluations: Evaluations) -> tuple[Array, Array]:
     """Residuals (R,) and their slopes (R, k) at the best, in the fitness's scaling."""
     # Not in the checkpoint either: a run that continues after an interruption makes other evaluations next.
     evaluations.limit, evaluations.progress, evaluations.journal = None, None, None
-    z = evaluations.best
-    points, steps = moved(z, INTERVAL_STEP)
-    scaled = evaluations.problem.fitness.scaled
-    answers = np.nan_to_num(scaled(evaluations.residuals(np.vstack([z, points]))))
-    return answers[0], jacobian(answers[0], answers[1:], steps)
+    return evaluations.around(evaluations.best, INTERVAL_STEP)
 
 
 def promised_gain(slopes: Array, residuals: Array) -> float:

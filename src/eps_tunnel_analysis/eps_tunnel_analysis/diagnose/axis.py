@@ -236,8 +236,7 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
         added.remove(general.name)
     if set(smaller.effects) == set(larger.effects):
         return None
-    values = _weak(search, values, tuple(added))
-    return np.clip(values, search.low, search.high)
+    return np.clip(_weak(search, values, added), search.low, search.high)
 
 
 def _place(candidate: Candidate, parameter: str) -> int:
@@ -385,8 +384,8 @@ def refitted_sets(
             return worst_floors(refit.residuals, search.signal) > enough(refit, refits)
 
         if lacking(best):
-            ticks = tick_refits(search, [*{r.effects: r for r in (base, best)}.values(),
-                                         *begun(search, base, refits)], allowed)  # fmt: skip
+            fitted = {r.effects: r for r in (base, best)}.values()
+            ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
             refits = best_by_set([*refits, *ticks])
             best = lowest([best, *ticks])
             worth = _explains(base, best)

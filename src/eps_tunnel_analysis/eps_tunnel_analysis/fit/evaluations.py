@@ -17,6 +17,7 @@ from typing import BinaryIO, Self
 
 import numpy as np
 
+from eps_tunnel_analysis.fit.differences import jacobian, moved
 from eps_tunnel_analysis.fit.problem import Problem
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.trials import Array
@@ -166,6 +167,13 @@ class Evaluations:
             return np.asarray(self.problem.fitness(values))[:, None]
 
         return self._ask(question, answer, lambda column: column[:, 0])[:, 0]
+
+    def around(self, z: Array, step: float) -> tuple[Array, Array]:
+        """Residuals (R,) at z (k,) and their slopes (R, k) by finite differences, in the fitness's scaling."""
+        points, steps = moved(z, step)
+        answers = self.problem.fitness.scaled(self.residuals(np.vstack([z, points])))
+        here = np.nan_to_num(answers[0])
+        return here, jacobian(here, answers[1:], steps)
 
     def _ask(self, question: Array, answer: Callable[[], Array], fitness: Callable[[Array], Array]) -> Array:
         if self.limit is not None and self.count >= self.limit:

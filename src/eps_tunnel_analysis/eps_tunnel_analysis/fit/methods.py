@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from eps_tunnel_analysis.fit.differences import jacobian, moved
 from eps_tunnel_analysis.fit.evaluations import Evaluations
 from eps_tunnel_analysis.fit.lockstep import descend
 from labyrinth_sim.trials import Array
@@ -163,8 +162,10 @@ class GaussNewton:
 
         if len(starts):
             free = np.ones(starts.shape, dtype=bool)
-            descend(lambda z, _: _scaled(evaluations, z), starts, free, self.rounds, DIFFERENCE, self.tolerance,
-                    hopeless, self.response, True)  # fmt: skip
+            descend(
+                lambda z, _: _scaled(evaluations, z), starts, free, self.rounds, DIFFERENCE, self.tolerance,
+                hopeless=hopeless, response=self.response, relative=True,
+            )  # fmt: skip
 
     def _along_weakest(self, evaluations: Evaluations) -> Array:
         """(n, k) the lowest points to either side of the best one, along the direction that it determines least.
@@ -172,9 +173,8 @@ class GaussNewton:
         The other directions compensate for each step along it, by the slopes at the best point.
         """
         z = evaluations.best
-        points, steps = moved(z, DIFFERENCE)
-        answers = _scaled(evaluations, np.vstack([z, points]))
-        left, sizes, right = np.linalg.svd(jacobian(answers[0], answers[1:], steps), full_matrices=False)
+        _, slopes = evaluations.around(z, DIFFERENCE)
+        left, sizes, right = np.linalg.svd(slopes, full_matrices=False)
         away = np.outer(np.geomspace(*self.away, self.scanned), right[-1])
         rows = np.clip(z + np.concatenate([away, -away]), 0.0, 1.0)
         firm = sizes[:-1] > FIRM * sizes[0]
