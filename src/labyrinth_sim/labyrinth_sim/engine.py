@@ -166,7 +166,7 @@ class Engine:
         control = self._controls(targets, off)
         most = max(1, AT_ONCE // self.substeps)
         within = set(steps.samples) if steps else set()
-        for low, high in _stretches(off, most, within):
+        for low, high in _stretches(_switched(off), off.shape[1], within, most):
             if (off[:, low] != self._off).any():
                 self._switch(off[:, low])
             own = steps.at(low) if steps and low in within else None
@@ -212,6 +212,7 @@ class Engine:
         disabled = self._disabled(off)
         measured = np.array([(list(RECORDED).index(q), address) for q, address in self._addresses], dtype=np.int64)
         qpos, qvel, gain = self.live.qpos, self.live.qvel, np.column_stack(self._gain)
+        edges = _switched(off)
 
         def rows(own: Sequence[int]) -> list[tuple[int, int]]:
             """Those that diverged, and the sample at which they did."""
@@ -220,7 +221,7 @@ class Engine:
                 runner.load(i, qpos[i], qvel[i])
                 mine = steps.of(i) if steps else None
                 within = set(mine.samples) if mine else set()
-                for low, high in _stretches(off, within=within):
+                for low, high in _stretches(edges, off.shape[1], within):
                     runner.switch(int(disabled[i, low]))
                     here = mine.at(low) if mine and low in within else None
                     more = runner.push(here, controls[i, low], self._integral[i], self._torques) if here else None
@@ -418,12 +419,16 @@ class Engine:
         self.live.qvel[:, self._ball.ball_dof : self._ball.ball_dof + 6] = 0.0
 
 
-def _stretches(off: NDArray[np.bool_], most: int | None = None, within: Collection[int] = ()) -> list[tuple[int, int]]:
-    """Samples [low, high), `most` at once, during which no drive is switched on or off (nsim, T, u); those within which
-    commands step by themselves.
-    """
-    edges = {int(k) + 1 for k in np.flatnonzero((off[:, 1:] != off[:, :-1]).any(axis=(0, 2)))}
-    cuts = sorted({0, off.shape[1], *edges, *within, *(k + 1 for k in within)})
+def _switched(off: NDArray[np.bool_]) -> set[int]:
+    """Samples at which any drive is switched on or off (nsim, T, u)."""
+    return {int(k) + 1 for k in np.flatnonzero((off[:, 1:] != off[:, :-1]).any(axis=(0, 2)))}
+
+
+def _stretches(
+    edges: Collection[int], samples: int, within: Collection[int] = (), most: int | None = None
+) -> list[tuple[int, int]]:
+    """Samples [low, high), `most` at once, up to the next of the edges; each of `within` is a stretch of its own."""
+    cuts = sorted({0, samples, *edges, *within, *(k + 1 for k in within)})
     parts = itertools.pairwise(cuts)
     return [(low, min(low + (most or last), last)) for first, last in parts for low in range(first, last, most or last)]
 
