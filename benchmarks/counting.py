@@ -111,6 +111,9 @@ def is_true(r: Record, hypothesis: str) -> bool:
     """Whether a hypothesis holds: the truth, or what is visible of it, "none" if nothing is."""
     if _sorted(hypothesis) in _truths(r):
         return True
+    if hypothesis == "overlooked":
+        foreign = _truths(r) & {"none", "unknown"}
+        return not foreign and not any(is_true(r, name) for name in r["set"] if name != "overlooked")
     if r["kind"] == "pair":
         return _sorted(hypothesis) in _visible_parts(r)
     return bool(r["kind"] != "healthy" and r["visibility"] < INVISIBLE and hypothesis == "none")

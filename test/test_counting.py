@@ -2,13 +2,14 @@
 """How the benchmark of the diagnosis counts: verdicts made up, figures known."""
 
 import sys
+from math import log
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-from counting import calibration, drop_vs_true_form, figures, flat, median, reliability, wilson
+from counting import calibration, drop_vs_true_form, figures, flat, is_true, log_score, median, reliability, wilson
 
 
 def case(kind, truth, verdict, hypotheses, stated=(), effects=(), visibility=10.0, **more):
@@ -45,6 +46,17 @@ def test_a_single_effect_is_right_undecided_or_wrong():
     assert found["visible_wrong"].value == pytest.approx(5 / 7)
     assert found["visible_misnamed"].value == pytest.approx(1 / 7)
     assert found["failed"].value == pytest.approx(1 / 8)
+
+
+def test_a_library_effect_that_no_listed_hypothesis_names_was_overlooked():
+    given = {"unknown": 0.6, "overlooked": 0.25, "a.x": 0.15}
+    records = [
+        case("pair", "a.x + b.y", "unknown", given),
+        case("single", "a.x", "unknown", given),
+        case("outside", "unknown", "unknown", given),
+    ]
+    assert [is_true(r, "overlooked") for r in records] == [True, False, False]
+    assert [log_score(r) for r in records] == pytest.approx([log(0.25), log(0.15), log(0.6)])
 
 
 def test_both_of_a_pair_and_nothing_else():

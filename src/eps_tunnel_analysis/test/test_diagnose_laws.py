@@ -20,6 +20,7 @@ from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.candidates import library
 from eps_tunnel_analysis.diagnose.rank import (
     NONE,
+    OVERLOOKED,
     UNKNOWN,
     Hypothesis,
     Ranked,
@@ -30,6 +31,7 @@ from eps_tunnel_analysis.diagnose.rank import (
     name_of,
     rank,
     smallest_set,
+    with_overlooked,
 )
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -467,6 +469,16 @@ def test_an_axis_is_searched_among_the_others_with_their_refitted_values() -> No
     assert among["drive.y.p"] == 12.0
 
 
+def test_part_of_what_is_unknown_may_be_known_effects_that_were_not_found() -> None:
+    found = with_overlooked({UNKNOWN: 0.8, NONE: 0.15, "a.x": 0.05})
+    assert found[UNKNOWN] + found[OVERLOOKED] == pytest.approx(0.8)
+    assert found[OVERLOOKED] == pytest.approx(0.8 * SETTINGS.overlooked)
+    assert list(found) == [UNKNOWN, OVERLOOKED, NONE, "a.x"], "most probable first"
+    kind, named, stated = decide(found, SETTINGS.coverage)
+    assert (kind, named, stated) == ("unknown", (), (UNKNOWN, OVERLOOKED, NONE))
+    assert with_overlooked({NONE: 1.0, UNKNOWN: 0.0}) == {NONE: 1.0, UNKNOWN: 0.0}
+
+
 def test_axes_are_joined_as_products() -> None:
     found = joint([{"a.x": 0.8, NONE: 0.1, UNKNOWN: 0.1}, {"b.y": 0.5, NONE: 0.5}])
     assert sum(found.values()) == pytest.approx(1.0)
@@ -519,8 +531,11 @@ def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
         "y": axis(40.0, 15.0, {"gain_error.y": 0.6}, 0.9, gain_error_on_y=0.1),
         "z": axis(1.1, 1.1, {}, 0.03),
     }
-    said = sentence("unknown", (), (UNKNOWN,), {UNKNOWN: 0.9}, axes, Registry.load())
-    assert said.startswith("Something is missing that no known effect explains in full (90%).")
+    said = sentence("unknown", (), (UNKNOWN,), {UNKNOWN: 0.7, OVERLOOKED: 0.2}, axes, Registry.load())
+    assert said.startswith(
+        "Something is missing that no known effect explains in full (70%), "
+        "or a combination of known effects that was not found (20%). "
+    )
     assert "Backlash (belt slack) on x (98%) explains 97% of what the model leaves there." in said
     assert "On y gain error on y explains 60% of 40 floors." in said
     assert "Nothing is missing on z, 1.1 floors." in said

@@ -12,7 +12,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, si
 from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.experiment import Experiment
 from eps_tunnel_analysis.diagnose.prescribed import coupled_with, measured_motions
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, joint
+from eps_tunnel_analysis.diagnose.rank import NAMELESS, joint, with_overlooked
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Verdict
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
@@ -67,8 +67,8 @@ def together(axes: Sequence[AxisDiagnosis]) -> dict[str, float]:
     If one axis lacks an effect, uneven timing alone does not make the others unknown; a sentence reports it.
     """
     likely = [max(p, key=lambda name: p[name]) for p in (a.ranking.probabilities for a in axes)]
-    named = any(name not in (NONE, UNKNOWN) for name in likely)
-    return joint([(axis.even if named else axis.ranking).probabilities for axis in axes])
+    named = any(name not in NAMELESS for name in likely)
+    return with_overlooked(joint([(axis.even if named else axis.ranking).probabilities for axis in axes]))
 
 
 def with_refits(model: Model, axes: Sequence[AxisDiagnosis], named: Collection[str], final: bool = False) -> Model:

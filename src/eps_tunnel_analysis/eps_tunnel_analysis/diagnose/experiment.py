@@ -18,7 +18,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SETTLED, is_steady
 from eps_tunnel_analysis.diagnose.evidence import Evidence
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import NAMELESS, NONE, OVERLOOKED, UNKNOWN
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Step, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
@@ -232,9 +232,9 @@ def _rivals(axis: AxisDiagnosis, stated: Sequence[str]) -> list[Refit]:
     names = {c.name for c in axis.search.library.candidates}
     chosen: dict[frozenset[str], Refit] = {}
     for name in stated:
-        here = frozenset(() if name in (NONE, UNKNOWN) else names & set(name.split(" + ")))
+        here = frozenset(() if name in NAMELESS else names & set(name.split(" + ")))
         refit = next((r for r in (axis.base, *axis.refits) if set(r.effects) == here), None)
-        if name != UNKNOWN and refit is not None:
+        if name not in (UNKNOWN, OVERLOOKED) and refit is not None:
             chosen.setdefault(here, refit)
     return list(chosen.values())
 

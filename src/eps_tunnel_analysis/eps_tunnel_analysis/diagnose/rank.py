@@ -21,6 +21,10 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
 NONE, UNKNOWN = "none", "unknown"
+OVERLOOKED = "overlooked"
+"""Effects of the library that explain what is missing, but that no descent found."""
+NAMELESS = (NONE, UNKNOWN, OVERLOOKED)
+"""Hypotheses that are not sets of effects."""
 LEAST = 1e-4  # probabilities below are not listed
 FEWEST = 30  # samples of a signal that is judged by itself
 ALIKE = 1e-6  # share of a value's influence below which others could do the same, as seen by finite differences
@@ -440,13 +444,26 @@ def joint(axes: Sequence[Mapping[str, float]]) -> dict[str, float]:
     listed = {name: p for name, p in named.items() if p >= LEAST or name == NONE}
     listed[UNKNOWN] = unknown
     total = sum(listed.values())
-    return {name: p / total for name, p in sorted(listed.items(), key=lambda item: (-item[1], item[0]))}
+    return _ordered({name: p / total for name, p in listed.items()})
+
+
+def with_overlooked(probabilities: Mapping[str, float]) -> dict[str, float]:
+    """The probabilities with a part of UNKNOWN's for what the library has and the search did not find."""
+    missed = SETTINGS.overlooked * probabilities.get(UNKNOWN, 0.0)
+    if missed < LEAST:
+        return dict(probabilities)
+    return _ordered({**probabilities, UNKNOWN: probabilities[UNKNOWN] - missed, OVERLOOKED: missed})
+
+
+def _ordered(probabilities: Mapping[str, float]) -> dict[str, float]:
+    """Most probable first."""
+    return dict(sorted(probabilities.items(), key=lambda item: (-item[1], item[0])))
 
 
 def smallest_set(probabilities: Mapping[str, float], coverage: float) -> tuple[str, ...]:
     """The fewest names that together have at least this probability, most probable first."""
     chosen: list[str] = []
-    for name, _ in sorted(probabilities.items(), key=lambda item: (-item[1], item[0])):
+    for name in _ordered(probabilities):
         chosen.append(name)
         if sum(probabilities[n] for n in chosen) >= coverage - 1e-12:
             break

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from eps_tunnel_analysis.alikeness import Span
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Ranked, smallest_set
+from eps_tunnel_analysis.diagnose.rank import NAMELESS, NONE, OVERLOOKED, UNKNOWN, Ranked, smallest_set
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.outputs import plain, shown_number
 from labyrinth_sim.registry import Registry
@@ -48,7 +48,7 @@ class AxisVerdict:
 
     Attributes:
         marginals: effect -> probability that it is missing, whatever else is.
-        none, unknown: probability that nothing is missing, and that something is that no effect explains.
+        none, unknown: probability that nothing is missing, and that something is that no set explains that was tried.
         explained: hypothesis -> share of the misfit beyond the noise that it takes away, with a 90 % interval.
         remaining: signal -> mean square left by what is named, in units of the noise floor: 1 is noise.
         floors: the same over all signals, before and after what is named.
@@ -75,7 +75,7 @@ class Verdict:
         verdict: "complete", "effect", "undecided" or "unknown".
         effects: what is named: candidate names as `backlash.x`, on the axis that lacks most first; the most probable
             ones where undecided.
-        set: hypotheses with their probabilities, "none" and "unknown" among them; they sum to 1.
+        set: hypotheses with their probabilities, "none", "unknown" and "overlooked" among them; they sum to 1.
         stated: the smallest part of `set` that holds the truth with probability `coverage`.
         sentence: the verdict in plain words.
         where: time spent outside the tunnels by the model with refitted values, before anything is added.
@@ -171,7 +171,7 @@ def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, t
     """The verdict from these probabilities, the effects named, and the stated set."""
     stated = smallest_set(probabilities, coverage)
     first = stated[0]
-    named = tuple(first.split(" + ")) if first not in (NONE, UNKNOWN) else ()
+    named = tuple(first.split(" + ")) if first not in NAMELESS else ()
     if first == UNKNOWN:
         return "unknown", (), stated
     if len(stated) > 1:
@@ -204,7 +204,10 @@ def sentence(
         sure = percent(probabilities[stated[0]])
         return f"The model lacks {' and '.join(in_words(name, registry) for name in effects)} ({sure})."
     if kind == "unknown":
-        start = f"Something is missing that no known effect explains in full ({percent(probabilities[UNKNOWN])})."
+        start = f"Something is missing that no known effect explains in full ({percent(probabilities[UNKNOWN])})"
+        if OVERLOOKED in probabilities:
+            start += f", or a combination of known effects that was not found ({percent(probabilities[OVERLOOKED])})"
+        start += "."
     else:
         start = undecided([f"{_hypothesis(name, registry)} ({percent(probabilities[name])})" for name in stated])
     return " ".join([start, *(text for axis, verdict in axes.items() if (text := _part(axis, verdict, registry)))])
@@ -249,4 +252,6 @@ def _hypothesis(name: str, registry: Registry) -> str:
         return "nothing missing"
     if name == UNKNOWN:
         return "something unknown"
+    if name == OVERLOOKED:
+        return "known effects that were not found"
     return " with ".join(in_words(part, registry) for part in name.split(" + "))

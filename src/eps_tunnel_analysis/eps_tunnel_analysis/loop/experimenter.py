@@ -14,7 +14,7 @@ from typing import Any
 
 from eps_tunnel_analysis.diagnose.addition import Addition, addition_of
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import NAMELESS, NONE, UNKNOWN
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, in_words
 from eps_tunnel_analysis.law.proposal import Proposal, confirmed
 from eps_tunnel_analysis.loop.gap import Bags, Gap, PlayableRig, measure_gap, write_gap
@@ -170,12 +170,11 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
     """The effects to add, and why if it is not the verdict itself; none if nothing should be added.
 
     For an undecided verdict: what all stated sets share; if they share nothing, the simplest of them, because a set
-        that no
-    recording at hand can distinguish from another does no harm. Nothing if "nothing missing" is one of them.
+    that no recording at hand can distinguish from another does no harm. Nothing if "nothing missing" is one of them.
     """
     if verdict.verdict == "effect":
         return verdict.effects, ""
-    sets = [name for name in verdict.stated if name not in (NONE, UNKNOWN)]
+    sets = [name for name in verdict.stated if name not in NAMELESS]
     if verdict.verdict != "undecided" or NONE in verdict.stated or not sets:
         return (), ""
     marginals = {name: p for axis in verdict.axes.values() for name, p in axis.marginals.items()}
@@ -420,7 +419,7 @@ def judged(
         return f"It was found; also named: {more}." if more else "It was found; it is not decided whether that is all."
     if ending == "undecided" and true in stated:
         return f"It is one of the {len(stated)} hypotheses that these recordings leave."
-    naming = [set(name.split(" + ")) for name in stated if name not in (NONE, UNKNOWN)]
+    naming = [set(name.split(" + ")) for name in stated if name not in NAMELESS]
     if ending == "undecided" and naming and all(hid <= names for names in naming):
         return "It was found; it is not decided whether that is all."
     return "That was not found."

@@ -8,7 +8,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.ball import part_name
 from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording, fall_sentences
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import NONE, OVERLOOKED, UNKNOWN
 from eps_tunnel_analysis.diagnose.verdict import in_words, percent
 from eps_tunnel_analysis.outputs import shown_share, shown_unit, shown_value
 from eps_tunnel_analysis.phases import channel_of, mean_command
@@ -89,7 +89,9 @@ def verdict(diagnosis: Diagnosis) -> Section:
 
 
 def _said(name: str) -> str:
-    return {NONE: "nothing is missing", UNKNOWN: "something no known effect explains"}.get(name, name)
+    words = {NONE: "nothing is missing", UNKNOWN: "something no known effect explains",
+             OVERLOOKED: "known effects that were not found"}  # fmt: skip
+    return words.get(name, name)
 
 
 def ranking(diagnosis: Diagnosis) -> Section:
