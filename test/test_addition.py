@@ -12,7 +12,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from test_diagnosis import as_play, recorded, wrong_model
 
-from eps_tunnel_analysis.diagnose.addition import add_effects, addition_of
+from eps_tunnel_analysis.diagnose.addition import Addition, add_effects, addition_of
+from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.falls import by_recording, fall_sentences
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
@@ -24,14 +25,22 @@ from labyrinth_sim.simulate import simulate
 HIDDEN_MOMENT = 0.35 / 9.81  # kg m, of the strong load on the emulated rig, 0.35 N m
 
 
+@pytest.fixture(scope="module")
+def loaded() -> tuple[Play, Addition]:
+    """A recording of a rig out of balance, and the load added without a diagnosis."""
+    play = as_play(recorded("gravity_load=strong", seed=3))
+    return play, add_effects(wrong_model(), [play], ["gravity_load.x"], 1)
+
+
 @pytest.mark.parametrize("name", ["gravity_load.x", "sensor_bias.motor_x"])
-def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str) -> None:
+def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str, loaded: tuple[Play, Addition]) -> None:
     effect = name.partition(".")[0]
-    play = as_play(recorded(f"{effect}=strong", seed=3))
-    diagnosis = diagnose(wrong_model(), [play], only=[effect], nthread=1)
+    play = loaded[0] if effect == "gravity_load" else as_play(recorded(f"{effect}=strong", seed=3))
+    diagnosis = diagnose(wrong_model(), [play], only=[effect], nthread=1, experiments=False)
     assert name in diagnosis.verdict.effects
     named = diagnosis.verdict.effects
-    said, alone = addition_of(diagnosis, named, [play]), add_effects(wrong_model(), [play], named, 1)
+    alone = loaded[1] if named == ("gravity_load.x",) else add_effects(wrong_model(), [play], named, 1)
+    said = addition_of(diagnosis, named, [play])
     main = [n for n in said.values if n.startswith(effect)]
     for value in main:
         assert alone.values[value] == pytest.approx(said.values[value], rel=0.02)
@@ -54,16 +63,28 @@ def swung(*names: str) -> Play:
     return Play("swing", replace(run, values=values, commands=np.repeat(run.commands, 3, axis=0)))
 
 
+def between(name: str, other: str) -> tuple[Play, Diagnosis]:
+    """A recording of the horn with one effect, and its diagnosis with that and another considered."""
+    play = swung(name)
+    return play, diagnose(load_model("horn"), [play], only=[name, other], nthread=1)
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> tuple[Play, Diagnosis]:
+    return between("coulomb_friction", "viscous_friction")
+
+
 @pytest.mark.parametrize(
     ("name", "other"),
     [("coulomb_friction", "viscous_friction"), ("dead_band", "backlash"), ("constant_torque", "return_spring")],
 )
-def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_values(name: str, other: str) -> None:
-    play, model = swung(name), load_model("horn")
-    diagnosis = diagnose(model, [play], only=[name, other], nthread=1)
+def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_values(
+    name: str, other: str, rubbing: tuple[Play, Diagnosis]
+) -> None:
+    play, diagnosis = rubbing if name == "coulomb_friction" else between(name, other)
     named = diagnosis.verdict.effects
     assert named == (f"{name}.horn",)
-    alone = add_effects(model, [play], named, 1)
+    alone = add_effects(load_model("horn"), [play], named, 1)
     said = diagnosis.verdict.values
     assert alone.values.keys() == said.keys()
     for value in (n for n in said if n.startswith((name, "drive"))):
@@ -73,9 +94,8 @@ def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_val
     assert alone.before.error == pytest.approx(diagnosis.verdict.before.error, rel=0.02)
 
 
-def test_a_fit_that_has_not_converged_is_told() -> None:
-    play, name = swung("coulomb_friction"), "coulomb_friction.horn"
-    diagnosis = diagnose(load_model("horn"), [play], only=["coulomb_friction"], nthread=1)
+def test_a_fit_that_has_not_converged_is_told(rubbing: tuple[Play, Diagnosis]) -> None:
+    (play, diagnosis), name = rubbing, "coulomb_friction.horn"
     assert not any("converged" in text for text in addition_of(diagnosis, [name], [play]).doubts)
     (axis,) = diagnosis.axes
     still = replace(diagnosis, axes=(replace(axis, refits=tuple(replace(r, converged=False) for r in axis.refits)),))
@@ -100,9 +120,8 @@ def test_what_is_not_there_is_not_added_at_values_that_fit_worse(monkeypatch: py
     assert added.after.error < 1.02 * added.before.error
 
 
-def test_the_interval_of_a_named_effect_holds_what_was_hidden() -> None:
-    play = as_play(recorded("gravity_load=strong", seed=3))
-    added = add_effects(wrong_model(), [play], ["gravity_load.x"], 1)
+def test_the_interval_of_a_named_effect_holds_what_was_hidden(loaded: tuple[Play, Addition]) -> None:
+    added = loaded[1]
     low, high = added.intervals["gravity_load.x.moment"]
     value = added.values["gravity_load.x.moment"]
     assert low < value < high and high - low < 0.1 * abs(value)

@@ -30,8 +30,10 @@ from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.trials import Trials
 
-STEPS = [f"    - step: {{to_deg: {to}, lasts_s: {lasts}}}" for to, lasts in ((4, 1.0), (-4, 1.0), (4, 2.0))]
-BOTH = SHORT.replace("    - hold: {lasts_s: 4.0}", "\n".join(STEPS))
+STEPS = [f"    - step: {{to_deg: {to}, lasts_s: {lasts}}}" for to, lasts in ((4, 0.8), (-4, 0.8), (4, 1.6))]
+# One axis rests while the other still moves.
+BOTH = SHORT.replace("  motor_y:", "    - hold: {lasts_s: 0.8}\n  motor_y:")
+BOTH = BOTH.replace("    - hold: {lasts_s: 2.4}", "\n".join(STEPS))
 FEW = ("gravity_load", "return_spring")
 ON_SENSORS = ("gravity_load", "sensor_bias", "sensor_delay")
 
@@ -113,7 +115,8 @@ def test_trials_in_another_order_on_a_mirrored_axis_say_the_same(unbalanced: tup
 
 @pytest.mark.parametrize("name", ["sensor_bias", "sensor_delay"])
 def test_effects_on_motion_and_on_sensors_are_told_apart(name: str) -> None:
-    v = diagnose(wrong_model(), [as_play(recorded(f"{name}=strong", seed=7))], only=ON_SENSORS).verdict
+    play = as_play(recorded(f"{name}=strong", seed=7))
+    v = diagnose(wrong_model(), [play], only=ON_SENSORS, experiments=False).verdict
     assert f"{name}.motor_x" in v.stated
     assert v.verdict in ("effect", "undecided")
     assert len(v.stated) <= 2
@@ -137,7 +140,7 @@ def test_a_value_that_the_model_states_wrongly_is_doubted_where_no_effect_explai
 def test_an_axis_that_is_turned_along_is_told_though_the_model_is_wrong_about_the_other_s_drive() -> None:
     model = wrong_model().with_values({"drive.y.p": 13.0, "drive.y.delay": 0.045})
     play = as_play(recorded("cross_coupling.x", text=BOTH), "xy", BOTH)
-    v = diagnose(model, [play], only=["cross_coupling"]).verdict
+    v = diagnose(model, [play], only=["cross_coupling"], experiments=False).verdict
     assert v.effects == ("cross_coupling.x",)
     allowed = SETTINGS.healthy + SETTINGS.form * v.floor["x"][0]
     assert v.floor["x"][1] < allowed < v.floor["x"][0]

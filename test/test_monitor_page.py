@@ -249,7 +249,7 @@ def test_a_trial_that_is_not_kept_is_not_found(shown: Shown) -> None:
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of the emulated rig: three trials of four seconds."""
+    """A bag of the emulated rig: three trials of two seconds."""
     folder = tmp_path_factory.mktemp("played")
     (folder / "short.yaml").write_text(SHORT + "trials: 3\n")
     (command,) = find_sequence(str(folder / "short.yaml")).commands
