@@ -13,7 +13,7 @@ from eps_tunnel_analysis.cli.main import main
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.ball import part_name, sees_ball, without_ball
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
-from eps_tunnel_analysis.sequence import Command
+from eps_tunnel_analysis.sequence import Command, Hold, Step
 from eps_tunnel_analysis.sequence_file import find_sequence
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.bags import write_bag
@@ -29,17 +29,19 @@ POCKET = (0.2545, 0.03)  # m, lower right on the medium layout; 15 mm from the w
 ON_BALL = ("board_not_level", "camera_latency", "camera_scale")
 
 
-def command() -> Command:
-    return find_sequence("ball_3s").commands[0]
+LONG = find_sequence("ball_3s").commands[0]
+# To one wall and back, without the rest at either: enough for one strong effect.
+_TILTS = (Hold(0.15), Step(0.6, np.radians(2.0)), Step(0.75, np.radians(-2.0)), Step(0.2, 0.0))
+SHORT = Command("ball", LONG.channels, (0.0, 0.0), ((Hold(1.7),), _TILTS))
 
 
-def recorded(*effects: str, seed: int) -> Run:
+def recorded(*effects: str, seed: int, command: Command = LONG) -> Run:
     layout = replace(load_layout("medium"), path=(POCKET,))
-    return run_offline(load_testbed("healthy", effects), *command().sample(100.0), 5, seed, layout)
+    return run_offline(load_testbed("healthy", effects), *command.sample(100.0), 5, seed, layout)
 
 
-def as_play(run: Run) -> Play:
-    time, targets = command().sample(100.0)
+def as_play(run: Run, command: Command = LONG) -> Play:
+    time, targets = command.sample(100.0)
     assert run.ball is not None
     raw = [part[:, :, 1] for part in (run.motor, run.board, run.effort)] + [run.ball[:, :, 0], run.ball[:, :, 1]]
     values = np.stack([[np.interp(time, run.stamps[i], part[i]) for part in raw] for i in range(5)])
@@ -54,7 +56,8 @@ def model() -> Model:
 
 
 def diagnosed(effect: str, only: Sequence[str], seed: int) -> Diagnosis:
-    return diagnose(model(), [as_play(recorded(effect, seed=seed))], only=only, experiments=False)
+    play = as_play(recorded(effect, seed=seed, command=SHORT), SHORT)
+    return diagnose(model(), [play], only=only, experiments=False)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,7 @@ def test_a_ball_that_was_not_seen_at_first_is_told() -> None:
 
 
 def test_the_commands_name_and_add_an_effect_on_the_ball(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", recorded("camera_latency", seed=54), "ball", command().hash)
+    bag = write_bag(tmp_path / "bag", recorded("camera_latency", seed=54, command=SHORT), SHORT.name, SHORT.hash)
     reading = ["--real", str(bag), "--model", str(save_model(model(), tmp_path / "m.yaml"))]
     few = ["--candidates", "camera_latency"]
     assert main(["diagnose", *reading, *few, "--out", str(tmp_path / "why")]) == 0
