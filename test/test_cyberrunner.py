@@ -15,10 +15,10 @@ from labyrinth_hw.testbed.offline import run_offline
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Three trials of a command of axis y alone, on a board that is out of balance there."""
-    time = np.arange(300) * 0.01
+    time = np.arange(150) * 0.01
     knob = np.radians(2.5) / 0.115
-    goals = np.where(time < 0.8, knob * (time > 0.2), knob * np.sin(6.0 * (time - 0.8)))
-    commands = np.column_stack([np.zeros(300), goals])
+    goals = np.where(time < 0.5, knob * (time > 0.2), knob * np.sin(9.0 * (time - 0.5)))
+    commands = np.column_stack([np.zeros(150), goals])
     rig = load_testbed("cyberrunner", ["gravity_load.y=medium"])
     bag = write_bag(tmp_path_factory.mktemp("cyberrunner") / "bag", run_offline(rig, time, commands, 3, 4), "c", "0")
     return load_recorded("cyberrunner", [bag], efforts=True)
