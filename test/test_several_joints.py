@@ -26,7 +26,7 @@ def test_friction_in_one_joint_of_an_arm_is_named(tmp_path: Path) -> None:
     """Three joints; six take minutes, which the benchmark takes."""
     model = arm(tmp_path, 3)
     assert coupled_axes(model) == [("a0",), ("a1", "a2")]
-    _, named = timed_diagnosis(model, motion(model, 3.0), ("coulomb_friction", "gravity_load"))
+    _, named = timed_diagnosis(model, motion(model, 2.0), ("coulomb_friction", "gravity_load"))
     assert named == (HIDDEN,)
 
 
@@ -45,7 +45,7 @@ def test_many_axes_that_shake_one_another_are_judged_apart_unless_an_effect_betw
 def test_a_joint_is_judged_while_the_others_move_as_they_were_measured(tmp_path: Path) -> None:
     """The friction of one joint shakes the others, which lack nothing and must not be told to."""
     model = arm(tmp_path, 4)
-    play = motion(model, 3.0)
+    play = motion(model, 2.0)
     run = SearchOptions(("coulomb_friction",), 1)
     parts = axis_parts(model, [play])
     bases = fitted_bases(model, [play], parts, run, roughly=True)
