@@ -220,6 +220,15 @@ def test_bags_from_tables_go_through_a_rig_of_ones_own(tmp_path: Path) -> None:
         for page in TOGETHER:
             for block in blocks(page):
                 follower.follow(block)
+                if block.file == "pretend_rig.py":
+                    shorten(tmp_path / block.file, "np.arange(800)", "np.arange(300)")
+
+
+def shorten(file: Path, long: str, short: str) -> None:
+    """Three seconds of the page's recordings show its friction, too."""
+    text = file.read_text(encoding="utf-8")
+    assert text.count(long) == 1, f"{file.name} has no '{long}' any more"
+    file.write_text(text.replace(long, short), encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", [page for page in HOWTO if page not in TOGETHER])
@@ -233,14 +242,13 @@ def test_every_command_of_a_how_to_page_works(page: str, tmp_path: Path) -> None
 
 def the_law_holds_on_another_command(folder: Path) -> None:
     """What the page's last comparison leaves, against the same model without the law."""
-    line = "eps-tunnel compare --real study/other --model labyrinth --out gap-without"
-    run(line, folder, environment_of(folder))
-    error = {}
-    for name in ("gap-without", "gap-after"):
-        content = json.loads((folder / name / "compare.json").read_text(encoding="utf-8"))
-        error[name] = next(e for e in content["errors"] if e["signal"] == "board_x")["command_error"]
-    assert math.degrees(error["gap-without"]) > 0.2
-    assert error["gap-after"] < 0.1 * error["gap-without"] and math.degrees(error["gap-after"]) < 0.02
+    line = "eps-tunnel compare --real study/other --model labyrinth --json"
+    told = (run(line, folder, environment_of(folder)), (folder / "gap-after" / "compare.json").read_text("utf-8"))
+    without, after = (
+        next(e for e in json.loads(text)["errors"] if e["signal"] == "board_x")["command_error"] for text in told
+    )
+    assert math.degrees(without) > 0.2
+    assert after < 0.1 * without and math.degrees(after) < 0.02
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", *HOWTO])
