@@ -40,6 +40,7 @@ RIGHT = {
     "quadratic_drag": {"curve_speed"},
     "tight_places": {"curve_angle_friction"},
     "other_axis_friction": {"curve_other_friction"},
+    "resonance": {"swing"},
     "thermal_drift": {"curve_time_friction", "curve_time"},
     "coulomb_friction": {"curve_speed"},
     "viscous_friction": {"curve_speed"},
@@ -107,6 +108,8 @@ def _told(proposal: Proposal) -> Record:
 
 def _named(dependence: Dependence) -> str:
     """The free curve over what is named; a command is no angle, and a pair is not one of the two."""
+    if dependence.frequency:
+        return "swing"
     return "pair" if dependence.pair else "command" if dependence.variable == "command" else dependence.curve
 
 

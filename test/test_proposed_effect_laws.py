@@ -23,10 +23,10 @@ from labyrinth_sim.trials import Trials
 SIZE = 0.2  # of the drive's torque, root mean square, that each term adds
 OFF = 0.01  # rad, root mean square, that each term of a sensor adds
 FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck", "viscous", "drag", "uneven",
-          "trailing", "creeping", "load", "tight", "fading", "warming", "coupling", "rubbing")  # fmt: skip
+          "trailing", "creeping", "swinging", "load", "tight", "fading", "warming", "coupling", "rubbing")  # fmt: skip
 SENSORS = ("offset", "scale", "bend", "wave", "late")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",
-            "uneven + drag", "-viscous + drag", "-friction + load")  # fmt: skip
+            "uneven + drag", "-viscous + drag", "-friction + load", "swinging + trailing + swinging")  # fmt: skip
 LATE = ("offset + late", "late + wave + scale")
 
 
@@ -68,7 +68,7 @@ def proposed(kind, names):
         term = terms[name.removeprefix("-")]
         shape = term.shape[len(term.shape) // 2] if term.shape else 0.0
         each = size / np.sqrt(np.mean(term.columns(motion, shape)[:, 0] ** 2)) * (-1.0 if name[0] == "-" else 1.0)
-        values = {n.name: each if n.switches else shape for n in term.numbers}
+        values = {n.name: each if n.switches else shape if np.isnan(n.begins) else n.begins for n in term.numbers}
         chosen.append(Chosen(term, values | ({"phase": 0.5} if "phase" in values else {})))
     place = "board_x" if sensor else "x"
     mark = seen_mark(model, declared(effect_file(chosen)), place, play)

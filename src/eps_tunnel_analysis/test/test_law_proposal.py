@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -86,6 +87,33 @@ def test_a_hidden_wave_is_found_with_its_period_size_and_phase(proposal: Proposa
     assert values["wave_phase"] == pytest.approx(PHASE, abs=0.1)
     assert proposal.refit.intervals["proposed_effect.pendulum.wave_size"] < 0.2 * SIZE
     assert proposal.refit.held_out < 0.02 * proposal.base_held_out
+
+
+INERTIA, FREQUENCY, DAMPED = 0.03, 9.0, 0.04  # kg m^2, rad/s, 1: of the mass that swings
+
+
+def hang(spec: mujoco.MjSpec, site: Site) -> None:
+    """A body of its own, on a spring: what is proposed is no body."""
+    joint = spec.joint(site.the_axis.joint)
+    body = joint.parent.add_body(name="swinging", mass=1e-9, inertia=[INERTIA] * 3, ipos=joint.pos)
+    body.explicitinertial = True
+    stiffness, damping = INERTIA * FREQUENCY**2, 2.0 * DAMPED * FREQUENCY * INERTIA
+    body.add_joint(name="swings", axis=joint.axis, pos=joint.pos, stiffness=stiffness, damping=damping)
+
+
+def test_a_mass_that_swings_on_the_joint_is_found_with_its_frequency_and_inertia(model: Model) -> None:
+    swings = replace(WAVES, name="hidden_mass", step=None, spec=hang)
+    hidden = model.with_effect(swings, "pendulum")
+    found = propose(model, [played(hidden, 1)], PART, nthread=1)
+    assert found.depends.first is not None and found.depends.first.frequency == pytest.approx(FREQUENCY, rel=0.05)
+    assert found.kind == "formula" and found.refit is not None
+    values = {name.rpartition(".")[2]: v for name, v in found.refit.values.items()}
+    assert values["swinging_frequency"] == pytest.approx(FREQUENCY, rel=0.03)
+    assert values["swinging_inertia"] == pytest.approx(INERTIA, rel=0.1)
+    assert found.refit.held_out < 0.02 * found.base_held_out
+    assert f"a mass that swings on it at {FREQUENCY / (2.0 * np.pi):.1f}" in found.sentence
+    again = confirmed(found, [played(hidden, 2, slow=0.7)], nthread=1)
+    assert again.confirmation is not None and again.confirmation.holds
 
 
 def test_another_command_confirms_what_is_proposed_or_not(proposal: Proposal, model: Model, hidden: Model) -> None:
@@ -218,6 +246,7 @@ def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingF
     chosen = []
     for term in terms:
         values = {n.name: 0.02 if n.switches else shapes[term.name] for n in term.numbers}
+        values |= {n.name: n.begins for n in term.numbers if np.isfinite(n.begins)}
         chosen.append(Chosen(term, values | ({"phase": 0.0} if "phase" in values else {})))
     effect = declared(effect_file(chosen))
     assert len(effect.parameters) == sum(len(term.numbers) for term in terms)

@@ -40,7 +40,7 @@ MODEL = ("dof_damping", "dof_frictionloss", "tendon_damping", "actuator_gainprm"
          "actuator_forcerange")  # fmt: skip
 PLACE = ("channel", "actuator", "dof", "qpos", "load_dof", "tendon")
 DRIVE = ("actuator", "dof", "qpos", "emf", "by_duty")
-MEMORY = 8  # numbers that a law may keep from step to step
+MEMORY = 16  # numbers that a law may keep from step to step
 MOST_VALUES = 32
 MOST_SUM = (
     1e4  # of a control by an integral; far beyond the torque is saturated, and MuJoCo takes huge controls for errors
@@ -69,7 +69,7 @@ Attributes:
     drives (u, 5): actuator, degree of freedom, coordinate, back-EMF actuator (or -1) of each axis, and whether it
         sets a duty.
     values: of the effect's parameters, in their order.
-    memory (8,): kept from step to step, zero at first.
+    memory (16,): kept from step to step, zero at first.
     step: s.
 """
 

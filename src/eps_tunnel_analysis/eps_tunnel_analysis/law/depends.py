@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.signal import bilinear, lfilter
 
 from eps_tunnel_analysis.diagnose.added_force import Motion, visited
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -23,8 +24,14 @@ LEAST_WAVES = 0.8
 TRIED_IN_PAIRS = 3  # variables whose pairs are tried: those that explain most by themselves
 COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
+FREQUENCIES = np.geomspace(
+    2.0, 120.0, 41
+)  # rad/s, of a mass that may swing on a joint; a third for the level of chance
+DAMPED = 0.05  # damping ratio with which it is looked for
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
 NO_MORE = 0.05  # of the misfit: a smaller gain in the share explained is not significant
+SWING = "a swing of its own"
+"""The variable of a mass that swings on the joint."""
 OVER_SPEED = ("curve_speed", "curve_sensor_speed")
 """Free curves whose variable is a speed."""
 OF_SENSORS = ("curve_sensor", "curve_sensor_speed")
@@ -97,6 +104,16 @@ def knots_of(which: str, span: Mapping[str, float]) -> Array:
 def moving(motion: Motion) -> Array:
     """(K,) against the motion: minus the direction where the joint moves, 0 where it stands."""
     return -np.tanh(motion.speed / max(0.01 * float(np.abs(motion.speed).max()), 1e-9))
+
+
+def swing(motion: Motion, frequency: float) -> Array:
+    """(K,) rad/s^2, acceleration of a mass on a damped spring whose other end moves with the joint, at first at rest.
+
+    `z'' = w^2 (q - z) + 2 d w (q' - z')`, so the joint feels `-J z''`.
+    """
+    rate = 1.0 / float(motion.time[1] - motion.time[0])
+    damper, spring = 2.0 * DAMPED * frequency, frequency**2
+    return np.asarray(lfilter(*bilinear([damper, spring, 0.0], [1.0, damper, spring], fs=rate), motion.speed))
 
 
 def of_speed(speed: Array, spans: Mapping[str, Mapping[str, float]]) -> Array:
@@ -252,6 +269,7 @@ class Dependence:
         traced: what turns with that period, as the rig file states ratios; "" if nothing does.
         pair: whether it is over two variables at once; `curve` is then of the one that explains more by itself.
         constant: whether it is over none; `curve` is then over the angle.
+        frequency: rad/s, of a mass that swings on the joint, else None; `curve` is then over the speed.
     """
 
     variable: str
@@ -265,6 +283,12 @@ class Dependence:
     traced: str = ""
     pair: bool = False
     constant: bool = False
+    frequency: float | None = None
+
+    @property
+    def over(self) -> str:
+        """What a term that fits it is over: the free curve's variable, or SWING."""
+        return SWING if self.frequency else self.curve
 
 
 @dataclass(frozen=True)
@@ -350,18 +374,20 @@ def varying(
         known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
         explained.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
     explained += waves(design, predictor, positions, chance, seed, ratios)
+    explained.append(swings(design, predictor, chance, seed))
     explained.sort(key=lambda pair: -pair[0].share)
     ordered = tuple(d for d, _ in explained)
     best = explained[0][1]
     near = [d for d, e in explained if d.named and (e.share > best.share - NO_MORE or not _better(best, e, seed))]
     if not near:
         return Depends(ordered, chance)
-    # Waves also have a period to be fitted, so a smooth curve that explains as much is likelier.
-    smooth = [d for d in near if not d.period]
+    # Waves and swings have a value more to be fitted, so a smooth curve that explains as much is likelier.
+    smooth = [d for d in near if not (d.period or d.frequency)]
     first = min(smooth or near, key=_plain)
     first = next((d for d in near if d.period and (d.variable, d.place) == (first.variable, first.place)), first)
-    same = {first.variable, *(("direction", "speed") if first.curve == "curve_speed" else ())}
-    friction = FRICTION if first.curve == "curve_speed" else ()
+    over_speed = first.curve == "curve_speed" and not first.frequency
+    same = {first.variable, *(("direction", "speed") if over_speed else ())}
+    friction = FRICTION if over_speed else ()
     ties = [d for d in near if d.place != first.place or (d.variable not in same and d.curve not in friction)]
     return Depends(ordered, chance, first, tuple(d for d in ties if not d.pair or first.pair))
 
@@ -375,14 +401,17 @@ def _by_chance(design: Design, predictor: Predictor, every: Sequence[Variable], 
     """The largest share that any variable, or waves of any period, explain once moved in time."""
     forces = [v for v in every if v.signal is None]
     tried = [sines(design, float(p)) for p in periods(design)[::3]]
+    swinging = [swung(design, float(w)) for w in FREQUENCIES[::3]]
     ends = np.cumsum([v.rows[0].shape[1] for v in forces])
-    stacked = [np.hstack(rows) for rows in zip(*(v.rows for v in forces), *tried, strict=True)]
+    stacked = [np.hstack(rows) for rows in zip(*(v.rows for v in forces), *tried, *swinging, strict=True)]
     columns = design.columns(stacked, None, moved)
     blocks = np.split(columns[:, : ends[-1]], ends[:-1], axis=1)
     shares = [predictor.explained(block, curve=True).share for block in blocks]
     surfaces = [predictor.explained(v.columns(design, moved)).share for v in pairs(forces, shares)]
     shares += [predictor.explained(v.columns(design, moved), curve=True).share for v in every if v.signal is not None]
-    shares += [predictor.explained(block).share for block in np.split(columns[:, ends[-1] :], len(tried), axis=1)]
+    waving, swings_at = np.split(columns[:, ends[-1] :], [2 * len(tried)], axis=1)
+    shares += [predictor.explained(block).share for block in np.split(waving, len(tried), axis=1)]
+    shares += [predictor.explained(block).share for block in np.split(swings_at, len(swinging), axis=1)]
     return max([*shares, *surfaces])
 
 
@@ -439,6 +468,26 @@ def waves(
         known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
         dependences.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
     return dependences
+
+
+def swung(design: Design, frequency: float) -> list[Array]:
+    """For each play (n, 1) what a mass that swings on the joint does to it, per inertia, at its nodes."""
+    return [-p.at_nodes(swing(p.motion, frequency))[:, None] for p in design.plays]
+
+
+def swings(design: Design, predictor: Predictor, chance: float, seed: int) -> tuple[Dependence, Explained]:
+    """A mass that swings on the joint, at the frequency that explains most."""
+
+    def explained(frequency: float) -> Explained:
+        return predictor.explained(design.columns(swung(design, frequency)))
+
+    def share(frequency: float) -> float:
+        return explained(frequency).share
+
+    best = refined(share, FREQUENCIES, int(np.argmax([share(float(w)) for w in FREQUENCIES])))
+    e = explained(best)
+    known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
+    return Dependence(SWING, "curve_speed", design.missing.axis, *known, frequency=best), e
 
 
 def refined(share: Callable[[float], float], tried: Array, best: int) -> float:

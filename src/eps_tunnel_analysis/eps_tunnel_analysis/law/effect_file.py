@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eps_tunnel_analysis.law.depends import SWING
 from eps_tunnel_analysis.law.formula import OF_A_SENSOR, Chosen
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect
@@ -165,9 +166,9 @@ def _step(
     every = " ".join(text for texts in code.values() for text in texts)
     lines = ["@law", "def step(raw: int) -> None:", "    s = state(raw)"]
     lines += [f"    {name} = s.values[{i}]" for i, name in enumerate(names)]
-    if "angle" in every or "angle" in follows.values():
+    if "angle" in every or {"angle", SWING} & {*follows.values()}:
         lines.append("    angle = s.qpos[s.angle]")
-    if "speed" in every or "speed" in follows.values() or "memory" in needs:
+    if "speed" in every or {"speed", SWING} & {*follows.values()} or "memory" in needs:
         lines.append("    speed = s.qvel[s.dof]")
     if "other" in every:
         lines.append("    other = s.qpos[s.drives[1 if s.channel == 0 else 0, 2]]")
@@ -175,12 +176,25 @@ def _step(
         lines.append("    carried = abs(s.actuator[s.dof] - s.passive[s.dof] + s.bias[s.dof])")
     if "memory" in needs or follows:
         lines.append("    time = s.memory[0]")
-    for slot, (prefix, what) in enumerate(follows.items(), start=FIRST_SLOT):
+    slot = FIRST_SLOT
+    for prefix, what in follows.items():
+        if what == SWING:
+            lines += [
+                f"    {prefix}_place = angle if time == 0.0 else s.memory[{slot}]",
+                f"    {prefix}_rate = speed if time == 0.0 else s.memory[{slot + 1}]",
+                f"    {prefix}_followed = {prefix}_frequency**2 * (angle - {prefix}_place)",
+                f"    {prefix}_followed += 2.0 * {prefix}_damping * {prefix}_frequency * (speed - {prefix}_rate)",
+                f"    {prefix}_rate += s.step * {prefix}_followed",
+                f"    s.memory[{slot}], s.memory[{slot + 1}] = {prefix}_place + s.step * {prefix}_rate, {prefix}_rate",
+            ]
+            slot += 2
+            continue
         lines += [
             f"    {prefix}_followed = {what} if time == 0.0 else s.memory[{slot}]",
             f"    {prefix}_followed += (1.0 - math.exp(-s.step / {prefix}_after)) * ({what} - {prefix}_followed)",
             f"    s.memory[{slot}] = {prefix}_followed",
         ]
+        slot += 1
     if "memory" in needs:
         lines += [
             "    direction = s.memory[2]",

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.law.depends import moving, periods, refined
+from eps_tunnel_analysis.law.depends import DAMPED, FREQUENCIES, SWING, moving, periods, refined, swing
 from eps_tunnel_analysis.law.design import Design, Predictor
 from labyrinth_sim.trials import Array
 
@@ -36,6 +36,7 @@ class Number:
         times: how far its bounds lie from the fitted value; 0 bounds a phase.
         signed: whether it keeps the sign that it was fitted with.
         least, most: the smallest and the largest for such an effect.
+        begins: where roll-outs begin, if the linear problem does not say.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Number:
     signed: bool = False
     most: float = math.inf
     least: float = -math.inf
+    begins: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class Term:
         shape: values of the number that is not linear; empty where all are.
         columns: (K, 1 or 2) of a motion and the shape's value; of 2, sine and cosine.
         needs: "memory" for since and time, "other_axis".
-        follows: "speed" or "angle", that a first-order memory follows, with the time constant `after`; "" for none.
+        follows: "speed" or "angle", that a first-order memory follows, with the time constant `after`; SWING for the
+            acceleration of a mass on a spring, with `frequency` and `damping`; "" for none.
     """
 
     name: str
@@ -76,7 +79,9 @@ class Term:
 
     @property
     def over(self) -> str:
-        """The free curve over the variable that it depends on; "" of a constant."""
+        """The free curve over the variable that it depends on; SWING of a mass that swings, "" of a constant."""
+        if self.follows == SWING:
+            return SWING
         if self.acts in OF_A_SENSOR:
             return OF_A_SENSOR[self.acts]
         words = {*re.findall(r"\w+", self.formula), self.follows}
@@ -168,6 +173,10 @@ def dictionary(design: Design) -> list[Term]:
         Term("creeping", "torque", "-{stiffness} * {followed}", "k angle, followed with T",
              (Number("stiffness", per_rad, True, 3.0, True), lag), times,
              lambda m, t: _column(-followed(m, m.angle, t)), "", "angle"),
+        Term("swinging", "torque", "-{inertia} * {followed}", "-J z'', z'' = w^2 (angle - z) + 2 d w (speed - z')",
+             (Number("inertia", "kg m^2", True, 3.0, True, least=0.0), Number("frequency", "rad/s", False, 1.5),
+              Number("damping", "1", False, 10.0, begins=DAMPED)), tuple(float(w) for w in FREQUENCIES),
+             lambda m, w: _column(-swing(m, w)), "", SWING),
         Term("load", "friction", "{share} * carried", "mu |load| sign(speed)",
              (Number("share", "1", True, 3.0, True, MOST_SHARE),), (), lambda m, _: _column(moving(m) * m.load)),
         Term("tight", "friction", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
@@ -322,7 +331,9 @@ def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen
             values = {"size": float(np.hypot(sine, cosine)), "period": shape, "phase": float(np.arctan2(cosine, sine))}
             first += 2
         else:
-            values = dict(zip(names, (float(weights[first]), shape), strict=False))
+            values = {n.name: n.begins for n in term.numbers} | dict(
+                zip(names, (float(weights[first]), shape), strict=False)
+            )
             first += 1
         terms.append(Chosen(term, values))
     return terms

@@ -24,6 +24,7 @@ from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.depends import (
     OF_SENSORS,
     OVER_SPEED,
+    SWING,
     Dependence,
     Depends,
     depends,
@@ -171,6 +172,8 @@ class Proposal:
         waves += f", which is {first.traced}" if first.traced else ""
         low, high = first.interval
         what = f"is a {first.variable}" if first.constant else f"depends on {self.depends.words}{waves}"
+        if first.frequency:
+            what = f"looks like a mass that swings on it at {first.frequency / (2.0 * np.pi):.3g} Hz"
         text = (
             f"Axis {self.axis}: what is missing {what}; that predicts "
             f"{first.share:.0%} ({low:.0%} to {high:.0%}) of it where that was left out of the fit, chance "
@@ -410,23 +413,31 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
 def _as_proposed(dependence: Depends, law: Formula) -> Depends:
     """What is named, if it is something else that the formula's first term depends on: roll-outs have chosen it."""
     named, over = dependence.first, law.terms[0].term.over
-    same = [d for d in dependence.dependences if d.named and d.curve == over and not (d.pair or d.constant)]
-    if named is None or not same or named.curve == over:
+    same = [d for d in dependence.dependences if d.named and d.over == over and not (d.pair or d.constant)]
+    if named is None or not same or named.over == over:
         return dependence
     first = max(same, key=lambda d: d.share)
     return replace(dependence, first=first, ties=(named, *(d for d in dependence.ties if d is not first)))
 
 
 def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
-    """What is named, with the period that the formula has."""
+    """What is named, with the period or the frequency that the formula has."""
     first = dependence.first
+    swinging = [c.values for c in law.terms if first and first.frequency and c.term.over == SWING]
+    if first and swinging:
+        most = max(swinging, key=lambda values: values["inertia"] * values["frequency"] ** 2)
+        return _named_as(dependence, replace(first, frequency=most["frequency"]))
     acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor"}
     waves = [c.values for c in law.terms if "period" in c.values and first and c.term.acts == acts.get(first.curve)]
     if first is None or first.pair or not waves:
         return dependence
     period = abs(max(waves, key=lambda values: abs(values["size"]))["period"])
-    named = replace(first, period=period, traced=traced(period, turns))
-    every = tuple(named if d is first else d for d in dependence.dependences)
+    return _named_as(dependence, replace(first, period=period, traced=traced(period, turns)))
+
+
+def _named_as(dependence: Depends, named: Dependence) -> Depends:
+    """The same with what is named in the place of the first."""
+    every = tuple(named if d is dependence.first else d for d in dependence.dependences)
     return replace(dependence, dependences=every, first=named)
 
 

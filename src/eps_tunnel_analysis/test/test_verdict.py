@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From probabilities to the verdict and its words."""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eps_tunnel_analysis.diagnose.rank import NONE, OVERLOOKED, UNKNOWN, joint, name_of, smallest_set, with_overlooked
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, decide, sentence
+from labyrinth_sim.registry import Registry
+
+
+def test_part_of_what_is_unknown_may_be_known_effects_that_were_not_found() -> None:
+    found = with_overlooked({UNKNOWN: 0.8, NONE: 0.15, "a.x": 0.05})
+    assert found[UNKNOWN] + found[OVERLOOKED] == pytest.approx(0.8)
+    assert found[OVERLOOKED] == pytest.approx(0.8 * SETTINGS.overlooked)
+    assert list(found) == [UNKNOWN, OVERLOOKED, NONE, "a.x"], "most probable first"
+    kind, named, stated = decide(found, SETTINGS.coverage)
+    assert (kind, named, stated) == ("unknown", (), (UNKNOWN, OVERLOOKED, NONE))
+    assert with_overlooked({NONE: 1.0, UNKNOWN: 0.0}) == {NONE: 1.0, UNKNOWN: 0.0}
+
+
+def test_axes_are_joined_as_products() -> None:
+    found = joint([{"a.x": 0.8, NONE: 0.1, UNKNOWN: 0.1}, {"b.y": 0.5, NONE: 0.5}])
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert found["a.x + b.y"] == pytest.approx(0.4)
+    assert found["a.x"] == pytest.approx(0.4)
+    assert found[UNKNOWN] == pytest.approx(0.1)
+
+
+@given(st.lists(st.floats(0.01, 1.0), min_size=1, max_size=6), st.floats(0.5, 0.99))
+def test_the_stated_set_is_the_smallest_that_covers(weights: list[float], coverage: float) -> None:
+    found = {f"e{i}": w / sum(weights) for i, w in enumerate(weights)}
+    stated = smallest_set(found, coverage)
+    assert sum(found[n] for n in stated) >= coverage - 1e-9
+    for fewer in itertools.combinations(found, len(stated) - 1):
+        assert sum(found[n] for n in fewer) < coverage
+
+
+@pytest.mark.parametrize(
+    ("found", "kind", "effects"),
+    [
+        ({NONE: 0.95, "a.x": 0.05}, "complete", ()),
+        ({"a.x": 0.95, UNKNOWN: 0.05}, "effect", ("a.x",)),
+        ({"a.x + b.y": 0.95, UNKNOWN: 0.05}, "effect", ("a.x", "b.y")),
+        ({"a.x": 0.6, "b.x": 0.4}, "undecided", ("a.x",)),
+        ({UNKNOWN: 0.6, "a.x": 0.4}, "unknown", ()),
+    ],
+)
+def test_four_verdicts(found: dict[str, float], kind: str, effects: tuple[str, ...]) -> None:
+    said, named, stated = decide(found, 0.9)
+    assert (said, named) == (kind, effects)
+    assert sentence(said, named, stated, {NONE: 0.0, UNKNOWN: 0.0, **found}, {}, Registry.load())
+
+
+def axis(base: float, after: float, explained: dict[str, float], unknown: float, **marginals: float) -> AxisVerdict:
+    return AxisVerdict(
+        marginals={name.replace("_on_", "."): p for name, p in marginals.items()},
+        none=1.0 - unknown - sum(marginals.values()),
+        unknown=unknown,
+        explained={name: (share, share - 0.1, share + 0.1) for name, share in explained.items()},
+        remaining={},
+        floors=(base, after),
+        not_converged=(),
+        ranking=(),
+    )
+
+
+def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
+    axes = {
+        "x": axis(80.0, 2.0, {"backlash.x": 0.97}, 0.02, backlash_on_x=0.98),
+        "y": axis(40.0, 15.0, {"gain_error.y": 0.6}, 0.9, gain_error_on_y=0.1),
+        "z": axis(1.1, 1.1, {}, 0.03),
+    }
+    said = sentence("unknown", (), (UNKNOWN,), {UNKNOWN: 0.7, OVERLOOKED: 0.2}, axes, Registry.load())
+    assert said.startswith(
+        "Something is missing that no known effect explains in full (70%), "
+        "or a combination of known effects that was not found (20%). "
+    )
+    assert "Backlash (belt slack) on x (98%) explains 97% of what the model leaves there." in said
+    assert "On y gain error on y explains 60% of 40 floors." in said
+    assert "Nothing is missing on z, 1.1 floors." in said
+
+
+def test_names_do_not_depend_on_the_order_in_which_effects_were_added() -> None:
+    assert name_of(["b.y", "a.x"]) == name_of(["a.x", "b.y"]) == "a.x + b.y"
