@@ -24,6 +24,7 @@ from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_propose
 from eps_tunnel_analysis.outputs import json_text, plain
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import Chart, render
+from eps_tunnel_analysis.sequence import Chirp
 from eps_tunnel_analysis.sequence_file import load_sequence
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
@@ -111,6 +112,9 @@ def test_a_mass_that_swings_on_the_joint_is_found_with_its_frequency_and_inertia
     assert values["swinging_frequency"] == pytest.approx(FREQUENCY, rel=0.03)
     assert values["swinging_inertia"] == pytest.approx(INERTIA, rel=0.1)
     assert found.refit.held_out < 0.02 * found.base_held_out
+    assert found.visit is not None and found.visit.name == "visit_swing_pendulum"
+    (chirp,) = (shape for shape in found.visit.command.shapes[0] if isinstance(shape, Chirp))
+    assert chirp.start_frequency < FREQUENCY / (2.0 * np.pi) < chirp.end_frequency
     assert f"a mass that swings on it at {FREQUENCY / (2.0 * np.pi):.1f}" in found.sentence
     again = confirmed(found, [played(hidden, 2, slow=0.7)], nthread=1)
     assert again.confirmation is not None and again.confirmation.holds

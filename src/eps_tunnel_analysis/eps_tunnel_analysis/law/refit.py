@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.law.depends import OVER_SPEED, Dependence
-from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Shape, Triangle
+from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
@@ -91,12 +91,15 @@ def visit(model: Model, axis: str, depends: Dependence, motions: Sequence[Motion
     """
     own = model.rig.axis(axis)
     low, high = _allowed(own, motions)
-    shapes = _shapes(depends.curve, low, high, max(float(np.abs(m.speed).max()) for m in motions))
+    shapes = _shapes(depends, low, high, max(float(np.abs(m.speed).max()) for m in motions))
     lasts = math.fsum(s.lasts for s in shapes)
     rows = tuple(tuple(shapes) if a is own else _along(a, own, motions, depends.curve, lasts) for a in model.rig.axes)
-    word = depends.curve.removeprefix("curve_")
+    word = "swing" if depends.frequency else depends.curve.removeprefix("curve_")
     name, channels = f"visit_{word}_{axis}", model.rig.command_channels
-    spans, unit = _unvisited(depends.curve, motions, low, high), "m" if own.slides else "rad"
+    spans, unit = (
+        () if depends.frequency else _unvisited(depends.curve, motions, low, high),
+        "m" if own.slides else "rad",
+    )
     unit += "/s" if depends.curve in OVER_SPEED else ""
     parts = ", ".join(f"{a:.3g} to {b:.3g} {unit}" for a, b in spans)
     reason = f"Visits {depends.variable} evenly" + (f"; hardly recorded so far: {parts}." if parts else ".")
@@ -111,11 +114,15 @@ def _allowed(axis: Axis, motions: Sequence[Motion]) -> tuple[float, float]:
     return max(low - more, WITHIN * axis.limits[0]), min(high + more, WITHIN * axis.limits[1])
 
 
-def _shapes(curve: str, low: float, high: float, fast: float) -> list[Shape]:
+def _shapes(depends: Dependence, low: float, high: float, fast: float) -> list[Shape]:
     """For the axis itself, from its middle."""
-    middle, half = round(0.5 * (low + high), 4), round(0.5 * (high - low), 4)
+    curve, middle, half = depends.curve, round(0.5 * (low + high), 4), round(0.5 * (high - low), 4)
     shapes: list[Shape] = [Ramp(1.0, middle), Hold(0.3)]
-    if curve in (*OVER_SPEED, "curve_load_friction"):
+    if depends.frequency:
+        waves = depends.frequency / (2.0 * math.pi)
+        amplitude = min(0.5 * fast / depends.frequency, half)  # as fast as recorded where it is quickest
+        shapes += [Chirp(3.0 * SWEEP, round(amplitude, 5), round(0.5 * waves, 3), round(2.0 * waves, 3))]
+    elif curve in (*OVER_SPEED, "curve_load_friction"):
         for speed in (share * fast for share in SPEEDS):
             frequency = min(max(speed / (4.0 * half), SLOWEST), QUICKEST)
             periods = math.ceil(AT_ONE_SPEED * frequency)
