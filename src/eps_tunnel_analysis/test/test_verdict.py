@@ -48,6 +48,9 @@ def test_the_stated_set_is_the_smallest_that_covers(weights: list[float], covera
         ({"a.x + b.y": 0.95, UNKNOWN: 0.05}, "effect", ("a.x", "b.y")),
         ({"a.x": 0.6, "b.x": 0.4}, "undecided", ("a.x",)),
         ({UNKNOWN: 0.6, "a.x": 0.4}, "unknown", ()),
+        ({UNKNOWN: 0.35, "a.x + b.y": 0.28, "c.x + b.y": 0.25, OVERLOOKED: 0.12}, "undecided", ("a.x", "b.y")),
+        ({UNKNOWN: 0.45, "a.x": 0.25, OVERLOOKED: 0.15, "c.x": 0.15}, "unknown", ()),
+        ({NONE: 0.45, "a.x": 0.3, "c.x": 0.25}, "undecided", ()),
     ],
 )
 def test_four_verdicts(found: dict[str, float], kind: str, effects: tuple[str, ...]) -> None:

@@ -168,12 +168,17 @@ def _axis_json(verdict: AxisVerdict) -> dict[str, Any]:
 
 
 def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, tuple[str, ...], tuple[str, ...]]:
-    """The verdict from these probabilities, the effects named, and the stated set."""
+    """The verdict from these probabilities, the effects named, and the stated set.
+
+    It is "unknown" if that is likelier than all sets of effects together, which may only share what is likely.
+    """
     stated = smallest_set(probabilities, coverage)
-    first = stated[0]
-    named = tuple(first.split(" + ")) if first not in NAMELESS else ()
-    if first == UNKNOWN:
+    unknown = sum(probabilities.get(name, 0.0) for name in (UNKNOWN, OVERLOOKED))
+    known = sum(p for name, p in probabilities.items() if name not in NAMELESS)
+    if unknown >= max(known, probabilities.get(NONE, 0.0)):
         return "unknown", (), stated
+    first = min(set(probabilities) - {UNKNOWN, OVERLOOKED}, key=lambda name: (-probabilities[name], name))
+    named = tuple(first.split(" + ")) if first != NONE else ()
     if len(stated) > 1:
         return "undecided", named, stated
     return ("complete" if first == NONE else "effect"), named, stated
