@@ -24,9 +24,7 @@ LEAST_WAVES = 0.8
 TRIED_IN_PAIRS = 3  # variables whose pairs are tried: those that explain most by themselves
 COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
-FREQUENCIES = np.geomspace(
-    2.0, 120.0, 41
-)  # rad/s, of a mass that may swing on a joint; a third for the level of chance
+FREQUENCIES = np.geomspace(2.0, 120.0, 41)  # rad/s, of a mass that may swing; a third for the level of chance
 DAMPED = 0.05  # damping ratio with which it is looked for
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
 NO_MORE = 0.05  # of the misfit: a smaller gain in the share explained is not significant

@@ -96,10 +96,8 @@ def visit(model: Model, axis: str, depends: Dependence, motions: Sequence[Motion
     rows = tuple(tuple(shapes) if a is own else _along(a, own, motions, depends.curve, lasts) for a in model.rig.axes)
     word = "swing" if depends.frequency else depends.curve.removeprefix("curve_")
     name, channels = f"visit_{word}_{axis}", model.rig.command_channels
-    spans, unit = (
-        () if depends.frequency else _unvisited(depends.curve, motions, low, high),
-        "m" if own.slides else "rad",
-    )
+    spans = () if depends.frequency else _unvisited(depends.curve, motions, low, high)
+    unit = "m" if own.slides else "rad"
     unit += "/s" if depends.curve in OVER_SPEED else ""
     parts = ", ".join(f"{a:.3g} to {b:.3g} {unit}" for a, b in spans)
     reason = f"Visits {depends.variable} evenly" + (f"; hardly recorded so far: {parts}." if parts else ".")
