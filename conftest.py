@@ -9,10 +9,9 @@ from itertools import count
 import pytest
 from domain_coordinator import domain_id
 
-# eps_tunnel_analysis sets these too, but many tests import numpy first: threads of BLAS that wait for one another take
-# the processors from the other workers.
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+# It sets the threads of BLAS, and many tests import numpy before it: threads that wait for one another take the
+# processors from the other workers.
+import eps_tunnel_analysis  # noqa: F401
 
 RERUNS = 2
 NICE = 10  # of a worker's other tests

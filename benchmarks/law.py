@@ -108,9 +108,7 @@ def _told(proposal: Proposal) -> Record:
 
 def _named(dependence: Dependence) -> str:
     """The free curve over what is named; a command is no angle, and a pair is not one of the two."""
-    if dependence.frequency:
-        return "swing"
-    return "pair" if dependence.pair else "command" if dependence.variable == "command" else dependence.curve
+    return "pair" if dependence.pair else "command" if dependence.variable == "command" else dependence.over
 
 
 def _axis(model: Model, case: Case) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SETTLED, is_steady
 from eps_tunnel_analysis.diagnose.evidence import Evidence
-from eps_tunnel_analysis.diagnose.rank import NAMELESS, NONE, OVERLOOKED, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import NAMELESS, NONE, UNEXPLAINED, UNKNOWN
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Step, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
@@ -234,7 +234,7 @@ def _rivals(axis: AxisDiagnosis, stated: Sequence[str]) -> list[Refit]:
     for name in stated:
         here = frozenset(() if name in NAMELESS else names & set(name.split(" + ")))
         refit = next((r for r in (axis.base, *axis.refits) if set(r.effects) == here), None)
-        if name not in (UNKNOWN, OVERLOOKED) and refit is not None:
+        if name not in UNEXPLAINED and refit is not None:
             chosen.setdefault(here, refit)
     return list(chosen.values())
 

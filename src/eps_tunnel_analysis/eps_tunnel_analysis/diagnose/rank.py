@@ -23,7 +23,9 @@ from labyrinth_sim.trials import Array
 NONE, UNKNOWN = "none", "unknown"
 OVERLOOKED = "overlooked"
 """Effects of the library that explain what is missing, but that no descent found."""
-NAMELESS = (NONE, UNKNOWN, OVERLOOKED)
+UNEXPLAINED = (UNKNOWN, OVERLOOKED)
+"""Hypotheses that something is missing, but not what."""
+NAMELESS = (NONE, *UNEXPLAINED)
 """Hypotheses that are not sets of effects."""
 LEAST = 1e-4  # probabilities below are not listed
 FEWEST = 30  # samples of a signal that is judged by itself
@@ -444,7 +446,7 @@ def joint(axes: Sequence[Mapping[str, float]]) -> dict[str, float]:
     listed = {name: p for name, p in named.items() if p >= LEAST or name == NONE}
     listed[UNKNOWN] = unknown
     total = sum(listed.values())
-    return _ordered({name: p / total for name, p in listed.items()})
+    return ordered({name: p / total for name, p in listed.items()})
 
 
 def with_overlooked(probabilities: Mapping[str, float]) -> dict[str, float]:
@@ -452,10 +454,10 @@ def with_overlooked(probabilities: Mapping[str, float]) -> dict[str, float]:
     missed = SETTINGS.overlooked * probabilities.get(UNKNOWN, 0.0)
     if missed < LEAST:
         return dict(probabilities)
-    return _ordered({**probabilities, UNKNOWN: probabilities[UNKNOWN] - missed, OVERLOOKED: missed})
+    return ordered({**probabilities, UNKNOWN: probabilities[UNKNOWN] - missed, OVERLOOKED: missed})
 
 
-def _ordered(probabilities: Mapping[str, float]) -> dict[str, float]:
+def ordered(probabilities: Mapping[str, float]) -> dict[str, float]:
     """Most probable first."""
     return dict(sorted(probabilities.items(), key=lambda item: (-item[1], item[0])))
 
@@ -463,7 +465,7 @@ def _ordered(probabilities: Mapping[str, float]) -> dict[str, float]:
 def smallest_set(probabilities: Mapping[str, float], coverage: float) -> tuple[str, ...]:
     """The fewest names that together have at least this probability, most probable first."""
     chosen: list[str] = []
-    for name in _ordered(probabilities):
+    for name in ordered(probabilities):
         chosen.append(name)
         if sum(probabilities[n] for n in chosen) >= coverage - 1e-12:
             break

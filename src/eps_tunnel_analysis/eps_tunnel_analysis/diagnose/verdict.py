@@ -6,7 +6,16 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from eps_tunnel_analysis.alikeness import Span
-from eps_tunnel_analysis.diagnose.rank import NAMELESS, NONE, OVERLOOKED, UNKNOWN, Ranked, smallest_set
+from eps_tunnel_analysis.diagnose.rank import (
+    NAMELESS,
+    NONE,
+    OVERLOOKED,
+    UNEXPLAINED,
+    UNKNOWN,
+    Ranked,
+    ordered,
+    smallest_set,
+)
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.outputs import plain, shown_number
 from labyrinth_sim.registry import Registry
@@ -173,11 +182,11 @@ def decide(probabilities: Mapping[str, float], coverage: float) -> tuple[Kind, t
     It is "unknown" if that is likelier than all sets of effects together, which may only share what is likely.
     """
     stated = smallest_set(probabilities, coverage)
-    unknown = sum(probabilities.get(name, 0.0) for name in (UNKNOWN, OVERLOOKED))
+    unknown = sum(probabilities.get(name, 0.0) for name in UNEXPLAINED)
     known = sum(p for name, p in probabilities.items() if name not in NAMELESS)
     if unknown >= max(known, probabilities.get(NONE, 0.0)):
         return "unknown", (), stated
-    first = min(set(probabilities) - {UNKNOWN, OVERLOOKED}, key=lambda name: (-probabilities[name], name))
+    first = next(name for name in ordered(probabilities) if name not in UNEXPLAINED)
     named = tuple(first.split(" + ")) if first != NONE else ()
     if len(stated) > 1:
         return "undecided", named, stated

@@ -28,8 +28,8 @@ FREQUENCIES = np.geomspace(2.0, 120.0, 41)  # rad/s, of a mass that may swing; a
 DAMPED = 0.05  # damping ratio with which it is looked for
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
 NO_MORE = 0.05  # of the misfit: a smaller gain in the share explained is not significant
-SWING = "a swing of its own"
-"""The variable of a mass that swings on the joint."""
+SWING = "swing"
+"""What a mass that swings on the joint is over; there is no free curve of it."""
 OVER_SPEED = ("curve_speed", "curve_sensor_speed")
 """Free curves whose variable is a speed."""
 OF_SENSORS = ("curve_sensor", "curve_sensor_speed")
@@ -361,7 +361,10 @@ def varying(
     """What a missing force depends on besides what is always there."""
     every = variables(design, positions)
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
-    by_chance = [_by_chance(design, predictor, every, moved) for moved in drawn]
+    shaped = [sines(design, float(p)) for p in periods(design)[::3]] + [
+        swung(design, float(w)) for w in FREQUENCIES[::3]
+    ]
+    by_chance = [_by_chance(design, predictor, every, shaped, moved) for moved in drawn]
     chance = float(np.quantile(by_chance, 1.0 - SETTINGS.law_level))
     explained: list[tuple[Dependence, Explained]] = []
     singly = [predictor.explained(v.columns(design), curve=True) for v in every]
@@ -383,7 +386,7 @@ def varying(
     smooth = [d for d in near if not (d.period or d.frequency)]
     first = min(smooth or near, key=_plain)
     first = next((d for d in near if d.period and (d.variable, d.place) == (first.variable, first.place)), first)
-    over_speed = first.curve == "curve_speed" and not first.frequency
+    over_speed = first.over == "curve_speed"
     same = {first.variable, *(("direction", "speed") if over_speed else ())}
     friction = FRICTION if over_speed else ()
     ties = [d for d in near if d.place != first.place or (d.variable not in same and d.curve not in friction)]
@@ -395,21 +398,18 @@ def _plain(d: Dependence) -> tuple[bool, int, bool]:
     return d.pair, PLAIN.index(d.curve), d.variable in ("speed", "command")
 
 
-def _by_chance(design: Design, predictor: Predictor, every: Sequence[Variable], moved: Sequence[float]) -> float:
-    """The largest share that any variable, or waves of any period, explain once moved in time."""
+def _by_chance(
+    design: Design, predictor: Predictor, every: Sequence[Variable], shaped: Sequence[Rows], moved: Sequence[float]
+) -> float:
+    """The largest share that any variable, or any shaped force (waves, swings), explains once moved in time."""
     forces = [v for v in every if v.signal is None]
-    tried = [sines(design, float(p)) for p in periods(design)[::3]]
-    swinging = [swung(design, float(w)) for w in FREQUENCIES[::3]]
-    ends = np.cumsum([v.rows[0].shape[1] for v in forces])
-    stacked = [np.hstack(rows) for rows in zip(*(v.rows for v in forces), *tried, *swinging, strict=True)]
-    columns = design.columns(stacked, None, moved)
-    blocks = np.split(columns[:, : ends[-1]], ends[:-1], axis=1)
-    shares = [predictor.explained(block, curve=True).share for block in blocks]
+    acting = [*(v.rows for v in forces), *shaped]
+    columns = design.columns([np.hstack(rows) for rows in zip(*acting, strict=True)], None, moved)
+    blocks = np.split(columns, np.cumsum([rows[0].shape[1] for rows in acting])[:-1], axis=1)
+    shares = [predictor.explained(block, curve=True).share for block in blocks[: len(forces)]]
     surfaces = [predictor.explained(v.columns(design, moved)).share for v in pairs(forces, shares)]
     shares += [predictor.explained(v.columns(design, moved), curve=True).share for v in every if v.signal is not None]
-    waving, swings_at = np.split(columns[:, ends[-1] :], [2 * len(tried)], axis=1)
-    shares += [predictor.explained(block).share for block in np.split(waving, len(tried), axis=1)]
-    shares += [predictor.explained(block).share for block in np.split(swings_at, len(swinging), axis=1)]
+    shares += [predictor.explained(block).share for block in blocks[len(forces) :]]
     return max([*shares, *surfaces])
 
 
@@ -485,7 +485,7 @@ def swings(design: Design, predictor: Predictor, chance: float, seed: int) -> tu
     best = refined(share, FREQUENCIES, int(np.argmax([share(float(w)) for w in FREQUENCIES])))
     e = explained(best)
     known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
-    return Dependence(SWING, "curve_speed", design.missing.axis, *known, frequency=best), e
+    return Dependence("a swing of its own", "curve_speed", design.missing.axis, *known, frequency=best), e
 
 
 def refined(share: Callable[[float], float], tried: Array, best: int) -> float:

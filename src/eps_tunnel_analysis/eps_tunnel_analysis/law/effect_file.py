@@ -178,23 +178,8 @@ def _step(
         lines.append("    time = s.memory[0]")
     slot = FIRST_SLOT
     for prefix, what in follows.items():
-        if what == SWING:
-            lines += [
-                f"    {prefix}_place = angle if time == 0.0 else s.memory[{slot}]",
-                f"    {prefix}_rate = speed if time == 0.0 else s.memory[{slot + 1}]",
-                f"    {prefix}_followed = {prefix}_frequency**2 * (angle - {prefix}_place)",
-                f"    {prefix}_followed += 2.0 * {prefix}_damping * {prefix}_frequency * (speed - {prefix}_rate)",
-                f"    {prefix}_rate += s.step * {prefix}_followed",
-                f"    s.memory[{slot}], s.memory[{slot + 1}] = {prefix}_place + s.step * {prefix}_rate, {prefix}_rate",
-            ]
-            slot += 2
-            continue
-        lines += [
-            f"    {prefix}_followed = {what} if time == 0.0 else s.memory[{slot}]",
-            f"    {prefix}_followed += (1.0 - math.exp(-s.step / {prefix}_after)) * ({what} - {prefix}_followed)",
-            f"    s.memory[{slot}] = {prefix}_followed",
-        ]
-        slot += 1
+        lines += _swinging(prefix, slot) if what == SWING else _late(prefix, what, slot)
+        slot += 2 if what == SWING else 1
     if "memory" in needs:
         lines += [
             "    direction = s.memory[2]",
@@ -213,6 +198,27 @@ def _step(
         lines.append(f"    damping = {' + '.join(code['damping'])}")
         lines.append("    s.damping[s.dof] = max(s.damping[s.dof] + damping, 0.0)")
     return "\n".join([*lines, ""])
+
+
+def _late(prefix: str, what: str, slot: int) -> list[str]:
+    """Lines by which a first-order memory follows a variable; it takes one slot."""
+    return [
+        f"    {prefix}_followed = {what} if time == 0.0 else s.memory[{slot}]",
+        f"    {prefix}_followed += (1.0 - math.exp(-s.step / {prefix}_after)) * ({what} - {prefix}_followed)",
+        f"    s.memory[{slot}] = {prefix}_followed",
+    ]
+
+
+def _swinging(prefix: str, slot: int) -> list[str]:
+    """Lines by which a mass on a spring follows the joint, its acceleration at the end; it takes two slots."""
+    return [
+        f"    {prefix}_place = angle if time == 0.0 else s.memory[{slot}]",
+        f"    {prefix}_rate = speed if time == 0.0 else s.memory[{slot + 1}]",
+        f"    {prefix}_followed = {prefix}_frequency**2 * (angle - {prefix}_place)",
+        f"    {prefix}_followed += 2.0 * {prefix}_damping * {prefix}_frequency * (speed - {prefix}_rate)",
+        f"    {prefix}_rate += s.step * {prefix}_followed",
+        f"    s.memory[{slot}], s.memory[{slot + 1}] = {prefix}_place + s.step * {prefix}_rate, {prefix}_rate",
+    ]
 
 
 def _measure(code: Mapping[str, Sequence[str]]) -> str:

@@ -331,9 +331,8 @@ def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen
             values = {"size": float(np.hypot(sine, cosine)), "period": shape, "phase": float(np.arctan2(cosine, sine))}
             first += 2
         else:
-            values = {n.name: n.begins for n in term.numbers} | dict(
-                zip(names, (float(weights[first]), shape), strict=False)
-            )
+            values = {n.name: n.begins for n in term.numbers}
+            values.update(zip(names, (float(weights[first]), shape), strict=False))
             first += 1
         terms.append(Chosen(term, values))
     return terms

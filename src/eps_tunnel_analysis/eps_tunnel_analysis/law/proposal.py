@@ -171,9 +171,12 @@ class Proposal:
         waves = f", with a period of {shown_value(first.period, self.position_unit, 4)}" if first.period else ""
         waves += f", which is {first.traced}" if first.traced else ""
         low, high = first.interval
-        what = f"is a {first.variable}" if first.constant else f"depends on {self.depends.words}{waves}"
-        if first.frequency:
+        if first.constant:
+            what = f"is a {first.variable}"
+        elif first.frequency:
             what = f"looks like a mass that swings on it at {first.frequency / (2.0 * np.pi):.3g} Hz"
+        else:
+            what = f"depends on {self.depends.words}{waves}"
         text = (
             f"Axis {self.axis}: what is missing {what}; that predicts "
             f"{first.share:.0%} ({low:.0%} to {high:.0%}) of it where that was left out of the fit, chance "
@@ -423,13 +426,15 @@ def _as_proposed(dependence: Depends, law: Formula) -> Depends:
 def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
     """What is named, with the period or the frequency that the formula has."""
     first = dependence.first
-    swinging = [c.values for c in law.terms if first and first.frequency and c.term.over == SWING]
-    if first and swinging:
+    if first is None or first.pair:
+        return dependence
+    swinging = [c.values for c in law.terms if c.term.over == first.over == SWING]
+    if swinging:
         most = max(swinging, key=lambda values: values["inertia"] * values["frequency"] ** 2)
         return _named_as(dependence, replace(first, frequency=most["frequency"]))
     acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor"}
-    waves = [c.values for c in law.terms if "period" in c.values and first and c.term.acts == acts.get(first.curve)]
-    if first is None or first.pair or not waves:
+    waves = [c.values for c in law.terms if "period" in c.values and c.term.acts == acts.get(first.curve)]
+    if not waves:
         return dependence
     period = abs(max(waves, key=lambda values: abs(values["size"]))["period"])
     return _named_as(dependence, replace(first, period=period, traced=traced(period, turns)))

@@ -94,11 +94,10 @@ def visit(model: Model, axis: str, depends: Dependence, motions: Sequence[Motion
     shapes = _shapes(depends, low, high, max(float(np.abs(m.speed).max()) for m in motions))
     lasts = math.fsum(s.lasts for s in shapes)
     rows = tuple(tuple(shapes) if a is own else _along(a, own, motions, depends.curve, lasts) for a in model.rig.axes)
-    word = "swing" if depends.frequency else depends.curve.removeprefix("curve_")
+    word = depends.over.removeprefix("curve_")
     name, channels = f"visit_{word}_{axis}", model.rig.command_channels
-    spans = () if depends.frequency else _unvisited(depends.curve, motions, low, high)
-    unit = "m" if own.slides else "rad"
-    unit += "/s" if depends.curve in OVER_SPEED else ""
+    spans, unit = _unvisited(depends.over, motions, low, high), "m" if own.slides else "rad"
+    unit += "/s" if depends.over in OVER_SPEED else ""
     parts = ", ".join(f"{a:.3g} to {b:.3g} {unit}" for a, b in spans)
     reason = f"Visits {depends.variable} evenly" + (f"; hardly recorded so far: {parts}." if parts else ".")
     linear = tuple(a.command for a in model.rig.axes if a.slides)
