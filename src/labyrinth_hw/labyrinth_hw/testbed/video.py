@@ -5,6 +5,7 @@ The pictures go out as motion JPEG over HTTP, as network cameras send them.
 """
 
 import multiprocessing
+import queue
 import signal
 import threading
 import time
@@ -18,6 +19,9 @@ from labyrinth_hw.testbed.renderer import Frame, Renderer
 from labyrinth_hw.testbed.scene import Scene, load_layout
 
 BOUNDARY = "frame"
+LATENCY = 0.1
+"""s from the scene to the picture on the wire, whatever the machine has to do meanwhile."""
+TOO_LATE = 0.01  # s after it; such a picture is dropped, as cameras drop frames
 
 
 class VideoStream:
@@ -105,6 +109,37 @@ class VideoStream:
             return
 
 
+class Outgoing:
+    """Pictures on their way: each leaves `LATENCY` after its scene, so that a camera's latency is one number.
+
+    Args:
+        stream: where they go.
+    """
+
+    def __init__(self, stream: VideoStream) -> None:
+        self._stream = stream
+        self._drawn: queue.SimpleQueue[tuple[float, Frame] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._send, daemon=True)
+        self._thread.start()
+
+    def put(self, taken: float, frame: Frame) -> None:
+        """A picture of the scene at `taken`, s of the steady clock."""
+        self._drawn.put((taken, frame))
+
+    def close(self) -> None:
+        """Ends the stream, too."""
+        self._drawn.put(None)
+        self._thread.join(timeout=5.0)
+        self._stream.close()
+
+    def _send(self) -> None:
+        while (drawn := self._drawn.get()) is not None:
+            due = drawn[0] + LATENCY
+            time.sleep(max(0.0, due - time.monotonic()))
+            if time.monotonic() < due + TOO_LATE:
+                self._stream.push(drawn[1])
+
+
 def _serve(scenes: Connection, layout: str, port: int, seed: int, marble: tuple[int, int, int] | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
@@ -114,21 +149,23 @@ def _serve(scenes: Connection, layout: str, port: int, seed: int, marble: tuple[
         return
     scenes.send(stream.url.encode())
     renderer = Renderer(load_layout(layout), seed=seed, marble=marble)
-    port, plugged = stream.port, True
+    port, outgoing = stream.port, Outgoing(stream)
+    plugged = True
     try:
         while True:
             order = scenes.recv()
-            while isinstance(order, Scene) and scenes.poll():
+            while not isinstance(order, bool) and scenes.poll():
                 order = scenes.recv()
-            if isinstance(order, Scene) and plugged:
-                stream.push(renderer.render(order))
+            if not isinstance(order, bool) and plugged:
+                taken, scene = order
+                outgoing.put(taken, renderer.render(scene))
             elif order is False and plugged:
-                stream.close()
+                outgoing.close()
                 plugged = False
             elif order is True and not plugged:
-                stream, plugged = VideoStream(port), True
+                outgoing, plugged = Outgoing(VideoStream(port)), True
     except (EOFError, OSError):
-        stream.close()
+        outgoing.close()
 
 
 class VideoProcess:
@@ -165,10 +202,11 @@ class VideoProcess:
         return time.monotonic() >= self._due
 
     def show(self, scene: Scene) -> None:
-        """Draw a scene."""
-        self._due = time.monotonic() + self._period
+        """Draw what is seen now."""
+        now = time.monotonic()
+        self._due = now + self._period
         try:
-            self._scenes.send(scene)
+            self._scenes.send((now, scene))
         except OSError:
             self._due = float("inf")
 
