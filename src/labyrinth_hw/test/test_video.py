@@ -12,7 +12,7 @@ from labyrinth_hw.camera import Camera
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.testbed.renderer import Renderer
 from labyrinth_hw.testbed.scene import Layout, Lens, Lighting, Scene, load_layout
-from labyrinth_hw.testbed.video import LATENCY, Outgoing, VideoStream
+from labyrinth_hw.testbed.video import CAMERA_LATENCY, Outgoing, VideoStream
 
 PLAIN = Layout(board=(0.276, 0.231), walls=(), holes=(), path=())
 CALM = Lighting(noise=0.0, blur=0.0, shadow=0.0, warmth=0.0)
@@ -149,14 +149,14 @@ def test_pictures_leave_a_fixed_time_after_their_scene_and_late_ones_are_dropped
         outgoing = Outgoing(stream)
         for number in range(1, 100):
             taken = time.monotonic()
-            outgoing.put(taken - LATENCY - 1.0, np.zeros((2, 2, 3), np.uint8))
+            outgoing.put(taken - CAMERA_LATENCY - 1.0, np.zeros((2, 2, 3), np.uint8))
             outgoing.put(taken, np.full((2, 2, 3), number, np.uint8))
-            time.sleep(1.5 * LATENCY)
+            time.sleep(1.5 * CAMERA_LATENCY)
             if left:  # a busy machine may be late for one
                 break
         outgoing.close()
     assert [shown for _, shown in left] == [number]
-    assert left[0][0] >= taken + LATENCY
+    assert left[0][0] >= taken + CAMERA_LATENCY
 
 
 def test_a_stream_on_a_used_port_is_refused() -> None:

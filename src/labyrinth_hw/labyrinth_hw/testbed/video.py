@@ -19,7 +19,7 @@ from labyrinth_hw.testbed.renderer import Frame, Renderer
 from labyrinth_hw.testbed.scene import Scene, load_layout
 
 BOUNDARY = "frame"
-LATENCY = 0.1
+CAMERA_LATENCY = 0.1
 """s from the scene to the picture on the wire, whatever the machine has to do meanwhile."""
 TOO_LATE = 0.01  # s after it; such a picture is dropped, as cameras drop frames
 
@@ -110,7 +110,7 @@ class VideoStream:
 
 
 class Outgoing:
-    """Pictures on their way: each leaves `LATENCY` after its scene, so that a camera's latency is one number.
+    """Pictures on their way: each leaves `CAMERA_LATENCY` after its scene, so that a camera's latency is one number.
 
     Args:
         stream: where they go.
@@ -134,7 +134,7 @@ class Outgoing:
 
     def _send(self) -> None:
         while (drawn := self._drawn.get()) is not None:
-            due = drawn[0] + LATENCY
+            due = drawn[0] + CAMERA_LATENCY
             time.sleep(max(0.0, due - time.monotonic()))
             if time.monotonic() < due + TOO_LATE:
                 self._stream.push(drawn[1])
