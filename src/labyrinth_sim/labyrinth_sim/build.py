@@ -183,7 +183,8 @@ def _idle(mj: mujoco.MjModel) -> int:
     flags = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)  # roll-outs measure joints by themselves
     touching = mj.geom_contype[:, None] & mj.geom_conaffinity[None, :]
     if not touching.any() and mj.npair == 0:
-        flags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        # A few joints' friction and limits are solved sooner at once than after a search for islands among them.
+        flags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     return flags
 
 
