@@ -288,7 +288,7 @@ def main() -> None:
     given = parser.parse_args()
     budget, generations, tunings, count = given.budget, given.generations, TUNINGS, PROBES
     if given.quick:
-        budget, generations, tunings, count = 120, 2, 1, 4
+        budget, generations, tunings, count = 120, 1, 1, 4
     started, seed, records = time.monotonic(), given.seed, list[dict[str, Any]]()
     setting = {"quick": given.quick, "seed": seed, "budget": budget, "generations": generations,
                "tunings": tunings, "probes": count}  # fmt: skip
@@ -329,7 +329,6 @@ def main() -> None:
                 "in_model": own,
                 "figures": {"own cost": own, **figures_of_probes(model, probes[task.name])},
             }
-            write()
         best = np.array([r["tasks"][task.name]["controllers"] for r in records])
         judged = on_rig(task, play(task, rig(), best.reshape(-1, best.shape[2]), TRIALS, seed + 1))
         for record, costs in zip(records, judged.reshape(best.shape[:2]), strict=True):
