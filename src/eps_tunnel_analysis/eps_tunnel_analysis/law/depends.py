@@ -5,6 +5,7 @@ was left out, compared with the same variable moved in time, which keeps its own
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import bilinear, lfilter
@@ -75,9 +76,38 @@ class Variable:
         """The variable, whether it acts as a friction or not."""
         return self.name.partition(",")[0]
 
-    def columns(self, design: Design, moved: Sequence[float] | None = None) -> Array:
-        """(R, k) change of a design's residuals, moved in time or not."""
-        return design.columns(self.rows, self.signal, moved)
+    def columns(self, design: Design) -> Array:
+        """(R, k) change of the residuals."""
+        return design.at(self.signal).columns(self.rows, self.signal)
+
+
+@dataclass(frozen=True)
+class Judge:
+    """What forces and sensors' errors explain beyond base values, and beyond a constant if there is one."""
+
+    design: Design
+    constant: Variable | None = None
+
+    @cached_property
+    def forces(self) -> Predictor:
+        """Judges forces."""
+        return self._about(self.design)
+
+    @cached_property
+    def sensors(self) -> Predictor:
+        """Judges the errors of sensors."""
+        return self._about(self.design.at(0))
+
+    def explained(
+        self, rows: Rows, signal: int | None = None, moved: Sequence[float] | None = None, curve: bool = False
+    ) -> Explained:
+        """What forces, or errors of a sensor, over time explain; see `Design.columns` and `Predictor.explained`."""
+        predictor = self.forces if signal is None else self.sensors
+        return predictor.explained(self.design.at(signal).columns(rows, signal, moved), curve)
+
+    def _about(self, design: Design) -> Predictor:
+        constant = self.constant
+        return Predictor(design, design.columns(constant.rows, constant.signal) if constant else None)
 
 
 def hats(share: Array) -> Array:
@@ -171,8 +201,9 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
     )
     span = spans["curve_angle"]
     for number in sensors(design, positions):
-        over_angle = [hats(share_about(a, span["centre"], span["half"])) for a in design.angles(number)]
-        over_speed = [hats(of_speed(v, spans)) for v in design.speeds(number)]
+        seen = design.at(number)
+        over_angle = [hats(share_about(a, span["centre"], span["half"])) for a in seen.angles(number)]
+        over_speed = [hats(of_speed(v, spans)) for v in seen.speeds(number)]
         every += [
             Variable(f"{what}, as a sensor's error", curve, missing.signals[number], errors, number)
             for what, curve, errors in zip(("angle", "speed"), OF_SENSORS, (over_angle, over_speed), strict=True)
@@ -205,14 +236,14 @@ def constants(design: Design, positions: Sequence[str]) -> list[Variable]:
     ]
 
 
-def _turned(design: Design, constant: Variable, rng: np.random.Generator) -> Array:
-    """(R, 1) what a constant changes if its sign turns once in every play, as that of a slow misfit does."""
+def _turned(design: Design, constant: Variable, rng: np.random.Generator) -> list[Array]:
+    """Rows of a constant whose sign turns once in every play, as that of a slow misfit does."""
     rows = []
     for play, own in zip(design.plays, constant.rows, strict=True):
         time = play.nodes if constant.signal is None else play.time[play.signal == constant.signal]
         turns = float(rng.uniform(*TURNS)) * float(play.nodes[-1])
         rows.append(own * np.where(time < turns, -1.0, 1.0)[:, None])
-    return design.columns(rows, constant.signal)
+    return rows
 
 
 def pairs(every: Sequence[Variable], shares: Sequence[float]) -> list[Variable]:
@@ -326,12 +357,12 @@ def depends(
         ratios: what turns -> radians of it for each radian of the joint, to trace periods by.
     """
     rng = np.random.default_rng(seed)
-    predictor = Predictor(design)
-    steady = constant(design, predictor, positions, rng, seed)
+    judge = Judge(design)
+    steady = constant(judge, positions, rng, seed)
     if steady is None:
-        return varying(design, predictor, positions, rng, seed, ratios or {})
-    first, columns = steady
-    beyond = varying(design, Predictor(design, columns), positions, rng, seed, ratios or {})
+        return varying(judge, positions, rng, seed, ratios or {})
+    first, always = steady
+    beyond = varying(Judge(design, always), positions, rng, seed, ratios or {})
     best = beyond.first
     if best and (best.place == first.place or best.share * (1.0 - first.share) > first.share):
         return beyond
@@ -339,43 +370,43 @@ def depends(
 
 
 def constant(
-    design: Design, predictor: Predictor, positions: Sequence[str], rng: np.random.Generator, seed: int
-) -> tuple[Dependence, Array] | None:
-    """The constant that explains most, and what it changes (R, 1); None if that is no more than chance."""
-    every = constants(design, positions)
-    chances = [max(predictor.explained(_turned(design, c, rng)).share for c in every) for _ in range(SURROGATES)]
+    judge: Judge, positions: Sequence[str], rng: np.random.Generator, seed: int
+) -> tuple[Dependence, Variable] | None:
+    """The constant that explains most; None if that is no more than chance."""
+    every = constants(judge.design, positions)
+    chances = [
+        max(judge.explained(_turned(judge.design, c, rng), c.signal).share for c in every) for _ in range(SURROGATES)
+    ]
     chance = float(np.quantile(chances, 1.0 - SETTINGS.law_level))
-    changes = [c.columns(design) for c in every]
-    explains = [(predictor.explained(change), c, change) for c, change in zip(every, changes, strict=True)]
-    e, best, columns = max(explains, key=lambda one: one[0].share)
-    if not _matters(predictor, e.share, chance) or e.interval(seed)[0] <= 0.0:
+    e, best = max(((judge.explained(c.rows, c.signal), c) for c in every), key=lambda one: one[0].share)
+    if not _matters(e, chance) or e.interval(seed)[0] <= 0.0:
         return None
     known = e.share, e.interval(seed), chance, True
-    return Dependence(best.name, best.curve, best.place, *known, constant=True), columns
+    return Dependence(best.name, best.curve, best.place, *known, constant=True), best
 
 
 def varying(
-    design: Design, predictor: Predictor, positions: Sequence[str], rng: np.random.Generator, seed: int,
-    ratios: Mapping[str, float],
-) -> Depends:  # fmt: skip
+    judge: Judge, positions: Sequence[str], rng: np.random.Generator, seed: int, ratios: Mapping[str, float]
+) -> Depends:
     """What a missing force depends on besides what is always there."""
+    design = judge.design
     every = variables(design, positions)
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
     shaped = [sines(design, float(p)) for p in periods(design)[::3]] + [
         swung(design, float(w)) for w in FREQUENCIES[::3]
     ]
-    by_chance = [_by_chance(design, predictor, every, shaped, moved) for moved in drawn]
+    by_chance = [_by_chance(judge, every, shaped, moved) for moved in drawn]
     chance = float(np.quantile(by_chance, 1.0 - SETTINGS.law_level))
     explained: list[tuple[Dependence, Explained]] = []
-    singly = [predictor.explained(v.columns(design), curve=True) for v in every]
+    singly = [judge.explained(v.rows, v.signal, curve=True) for v in every]
     both = pairs(every, [e.share for e in singly])
     alone = len(every)
-    explains = [*singly, *(predictor.explained(v.columns(design)) for v in both)]
+    explains = [*singly, *(judge.explained(v.rows) for v in both)]
     for i, (variable, e) in enumerate(zip([*every, *both], explains, strict=True)):
-        known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
+        known = e.share, e.interval(seed), chance, _matters(e, chance)
         explained.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
-    explained += waves(design, predictor, positions, chance, seed, ratios)
-    explained.append(swings(design, predictor, chance, seed))
+    explained += waves(judge, positions, chance, seed, ratios)
+    explained.append(swings(judge, chance, seed))
     explained.sort(key=lambda pair: -pair[0].share)
     ordered = tuple(d for d, _ in explained)
     best = explained[0][1]
@@ -398,18 +429,16 @@ def _plain(d: Dependence) -> tuple[bool, int, bool]:
     return d.pair, PLAIN.index(d.curve), d.variable in ("speed", "command")
 
 
-def _by_chance(
-    design: Design, predictor: Predictor, every: Sequence[Variable], shaped: Sequence[Rows], moved: Sequence[float]
-) -> float:
+def _by_chance(judge: Judge, every: Sequence[Variable], shaped: Sequence[Rows], moved: Sequence[float]) -> float:
     """The largest share that any variable, or any shaped force (waves, swings), explains once moved in time."""
     forces = [v for v in every if v.signal is None]
     acting = [*(v.rows for v in forces), *shaped]
-    columns = design.columns([np.hstack(rows) for rows in zip(*acting, strict=True)], None, moved)
+    columns = judge.design.columns([np.hstack(rows) for rows in zip(*acting, strict=True)], None, moved)
     blocks = np.split(columns, np.cumsum([rows[0].shape[1] for rows in acting])[:-1], axis=1)
-    shares = [predictor.explained(block, curve=True).share for block in blocks[: len(forces)]]
-    surfaces = [predictor.explained(v.columns(design, moved)).share for v in pairs(forces, shares)]
-    shares += [predictor.explained(v.columns(design, moved), curve=True).share for v in every if v.signal is not None]
-    shares += [predictor.explained(block).share for block in blocks[len(forces) :]]
+    shares = [judge.forces.explained(block, curve=True).share for block in blocks[: len(forces)]]
+    surfaces = [judge.explained(v.rows, None, moved).share for v in pairs(forces, shares)]
+    shares += [judge.explained(v.rows, v.signal, moved, curve=True).share for v in every if v.signal is not None]
+    shares += [judge.forces.explained(block).share for block in blocks[len(forces) :]]
     return max([*shares, *surfaces])
 
 
@@ -421,9 +450,9 @@ def _better(one: Explained, other: Explained, seed: int) -> bool:
     return bool(np.quantile(counts @ gains, SETTINGS.law_level) > 0.0)
 
 
-def _matters(predictor: Predictor, share: float, chance: float) -> bool:
-    """Whether a share of the misfit is more than chance explains, and enough to be worth reporting."""
-    return share > max(chance, 0.0) and share * predictor.floors >= SETTINGS.material
+def _matters(e: Explained, chance: float) -> bool:
+    """Whether something explains more of the misfit than chance does, and enough to be worth reporting."""
+    return e.share > max(chance, 0.0) and e.fall >= SETTINGS.material
 
 
 def _shifts(design: Design, rng: np.random.Generator) -> Iterator[float]:
@@ -434,7 +463,7 @@ def _shifts(design: Design, rng: np.random.Generator) -> Iterator[float]:
 
 def sines(design: Design, period: float, signal: int | None = None) -> list[Array]:
     """For each play (n, 2) sine and cosine over the angle, at its nodes or a sensor's samples."""
-    turns = [2.0 * np.pi * angle / period for angle in design.angles(signal)]
+    turns = [2.0 * np.pi * angle / period for angle in design.at(signal).angles(signal)]
     return [np.column_stack([np.sin(turn), np.cos(turn)]) for turn in turns]
 
 
@@ -445,25 +474,24 @@ def periods(design: Design) -> Array:
 
 
 def waves(
-    design: Design, predictor: Predictor, positions: Sequence[str], chance: float, seed: int,
-    ratios: Mapping[str, float],
-) -> list[tuple[Dependence, Explained]]:  # fmt: skip
+    judge: Judge, positions: Sequence[str], chance: float, seed: int, ratios: Mapping[str, float]
+) -> list[tuple[Dependence, Explained]]:
     """Waves over the angle, of a force and of each sensor, by the period that explains most."""
-    missing, tried = design.missing, periods(design)
+    design, missing, tried = judge.design, judge.design.missing, periods(judge.design)
     ways: list[tuple[str, str, str, int | None]] = [("angle", "curve_angle", missing.axis, None)]
     ways += [("angle, as a sensor's error", "curve_sensor", missing.signals[i], i) for i in sensors(design, positions)]
     dependences = []
     for name, which, place, signal in ways:
 
         def explained(period: float, signal: int | None = signal) -> Explained:
-            return predictor.explained(design.columns(sines(design, period, signal), signal))
+            return judge.explained(sines(design, period, signal), signal)
 
         def share(period: float, explained: Callable[[float], Explained] = explained) -> float:
             return explained(period).share
 
         best = refined(share, tried, int(np.argmax([share(float(p)) for p in tried])))
         e = explained(best)
-        known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
+        known = e.share, e.interval(seed), chance, _matters(e, chance)
         dependences.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
     return dependences
 
@@ -473,19 +501,19 @@ def swung(design: Design, frequency: float) -> list[Array]:
     return [-p.at_nodes(swing(p.motion, frequency))[:, None] for p in design.plays]
 
 
-def swings(design: Design, predictor: Predictor, chance: float, seed: int) -> tuple[Dependence, Explained]:
+def swings(judge: Judge, chance: float, seed: int) -> tuple[Dependence, Explained]:
     """A mass that swings on the joint, at the frequency that explains most."""
 
     def explained(frequency: float) -> Explained:
-        return predictor.explained(design.columns(swung(design, frequency)))
+        return judge.explained(swung(judge.design, frequency))
 
     def share(frequency: float) -> float:
         return explained(frequency).share
 
     best = refined(share, FREQUENCIES, int(np.argmax([share(float(w)) for w in FREQUENCIES])))
     e = explained(best)
-    known = e.share, e.interval(seed), chance, _matters(predictor, e.share, chance)
-    return Dependence("a swing of its own", "curve_speed", design.missing.axis, *known, frequency=best), e
+    known = e.share, e.interval(seed), chance, _matters(e, chance)
+    return Dependence("a swing of its own", "curve_speed", judge.design.missing.axis, *known, frequency=best), e
 
 
 def refined(share: Callable[[float], float], tried: Array, best: int) -> float:

@@ -5,6 +5,7 @@ explain where they were left out.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,10 @@ Rows = Sequence[Array]
 
 @dataclass(frozen=True)
 class Design:
-    """All residuals of an axis, linear in forces and sensor errors: R samples, F stretches of time.
+    """All residuals of an axis, linear in forces or sensor errors: R samples, F stretches of time.
+
+    Forces act on the motion with the missing force, which friction makes another than that without it. If a sensor is
+    wrong, nothing is missing, so its errors are added to the model's own motion.
 
     Attributes:
         missing: the plays' answers.
@@ -40,8 +44,19 @@ class Design:
 
     @classmethod
     def of(cls, missing: MissingForce) -> "Design":
-        """From a missing force."""
-        plays = missing.plays
+        """Of forces."""
+        return cls._about(missing, missing.plays)
+
+    @cached_property
+    def _of_sensors(self) -> "Design":
+        return self._about(self.missing, self.missing.unforced or self.missing.plays)
+
+    def at(self, signal: int | None) -> "Design":
+        """The one for the error of a sensor with this number; None for a force."""
+        return self if signal is None else self._of_sensors
+
+    @classmethod
+    def _about(cls, missing: MissingForce, plays: tuple[PlayAnswer, ...]) -> "Design":
         y = np.concatenate([p.residuals for p in plays])
         fold = np.concatenate([p.fold for p in plays])
         return cls(missing, y, fold, np.concatenate([p.base for p in plays]), plays)
@@ -90,11 +105,13 @@ class Explained:
         share: of the misfit beyond what base values compensate for.
         stretches: (F, 2) sum of squares in each stretch without the columns and with them.
         weights: (K,) of the columns, fitted to everything.
+        fall: by how many floors, on average over all samples.
     """
 
     share: float
     stretches: Array
     weights: Array
+    fall: float
 
     def interval(self, seed: int = 0) -> tuple[float, float]:
         """90 % of the share, by a bootstrap of the stretches."""
@@ -124,11 +141,6 @@ class Predictor:
         self._size = base.shape[1]
         self._without = self._left_out(self._grams, self._rights)[0]
 
-    @property
-    def floors(self) -> float:
-        """What is to be explained: the mean square left on left-out stretches by the columns that are always there."""
-        return float(self._without.sum() / len(self._order))
-
     def explained(self, columns: Array, curve: bool = False) -> Explained:
         """What columns (R, K) explain in addition to those that are always there.
 
@@ -151,7 +163,8 @@ class Predictor:
                 best = squares, weights
         assert best is not None
         share = 1.0 - best[0].sum() / max(self._without.sum(), 1e-300)
-        return Explained(float(share), np.column_stack([self._without, best[0]]), best[1][size:])
+        fall = float((self._without - best[0]).sum() / len(self._order))
+        return Explained(float(share), np.column_stack([self._without, best[0]]), best[1][size:], fall)
 
     def _stretches(self, rows: Array) -> list[Array]:
         return np.split(rows[self._order], self._edges)

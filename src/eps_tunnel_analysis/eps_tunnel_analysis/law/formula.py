@@ -227,6 +227,7 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
         terms: to choose from.
         signal: number of the sensor whose error it is; None for a force.
     """
+    design = design.at(signal)
     least = max(SETTINGS.material / max(float(np.mean(design.y**2)), 1e-9), SETTINGS.share)
     whole = Predictor(design)
     known: dict[tuple[str, float], Array] = {}

@@ -7,7 +7,7 @@ is the smoothness that best predicts samples that were left out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -81,6 +81,7 @@ class MissingForce:
         floors: mean square of the residuals in units of the noise floor, without the force and, as linearised, with it.
         worst: that of the worst signal without the force: others with a wide floor would hide it.
         side: of the axis that it acts on, "motor" or "load".
+        unforced: the plays linearised about the model's own motion, without the force; none if `plays` are.
     """
 
     axis: str
@@ -91,6 +92,7 @@ class MissingForce:
     floors: tuple[float, float]
     worst: float = float("nan")
     side: str = "motor"
+    unforced: tuple[PlayAnswer, ...] = field(default=(), repr=False)
 
     @property
     def size(self) -> float:
@@ -124,6 +126,7 @@ def missing_force(
     smoothness, least, share = 1.0, np.inf, 1.0
     accepted = target = forces
     answers: list[PlayAnswer] = []
+    unforced: tuple[PlayAnswer, ...] = ()
     for _ in range(passes):
         parts = [
             _linearised(
@@ -155,14 +158,14 @@ def missing_force(
                     search.scale[own], force, band,
                 )
             )  # fmt: skip
-        forces = target
+        forces, unforced = target, unforced or tuple(answers)
     assert first_residuals is not None
     remaining = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     slides, side = model.rig.axis(part.name).slides, "load" if at_load else "motor"
     floors = float(np.mean(first_residuals**2)), float(np.mean(remaining**2))
     worst = worst_floors(first_residuals, np.concatenate([a.signal for a in answers]))
     return MissingForce(
-        part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, worst, side
+        part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, worst, side, unforced
     )
 
 

@@ -364,9 +364,10 @@ def _curve(
     """What is missing over a variable, as (variable, force) at ten places, and half of the 90 % interval at each."""
     chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (over.curve, over.place))
     columns = chosen.columns(design)
-    weights = Predictor(design).explained(columns, curve=True).weights
+    about = design.at(chosen.signal)
+    weights = Predictor(about).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(over.curve, spans[over.curve]).tolist(), weights.tolist(), strict=True))
-    return table, tuple(half_widths(design, columns).tolist())
+    return table, tuple(half_widths(about, columns).tolist())
 
 
 def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
