@@ -3,7 +3,7 @@
 
 python benchmarks/study_table.py out.json
 
-With --later a shorter table of a run that followed, between two marks of its own.
+With --later NAME a shorter table of a run that followed, between two marks with that name.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from counting import Figure, Record, figures, is_right, is_undecided, reliabilit
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 BEGIN, END = "<!-- study: written by benchmarks/study_table.py -->", "<!-- end of the study -->"
-LATER = "<!-- later cases: written by benchmarks/study_table.py --later -->", "<!-- end of the later cases -->"
+LATER = "<!-- {0} cases: written by benchmarks/study_table.py --later {0} -->", "<!-- end of the {0} cases -->"
 KEYS = {  # key: what it means, and the bar
     "visible_right": ("single effects that show at over 3 times the floor: named right", "≥ 0.90"),
     "visible_undecided": ("the same: undecided, with the truth in the stated set", "≤ 0.08"),
@@ -130,13 +130,13 @@ def main() -> None:
     """Rewrites the page's part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("json", type=Path)
-    parser.add_argument("--later", action="store_true", help="the shorter table of a run that followed")
+    parser.add_argument("--later", metavar="NAME", help="shorter, between marks with this name")
     given = parser.parse_args()
     content = json.loads(given.json.read_text(encoding="utf-8"))
-    begin, end = LATER if given.later else (BEGIN, END)
+    begin, end = (mark.format(given.later) for mark in LATER) if given.later else (BEGIN, END)
     before, rest = PAGE.read_text(encoding="utf-8").split(begin)
     after = rest.split(end)[1]
-    PAGE.write_text(f"{before}{begin}\n{page(content, given.later)}{end}{after}", encoding="utf-8")
+    PAGE.write_text(f"{before}{begin}\n{page(content, bool(given.later))}{end}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -76,10 +76,6 @@ class Variable:
         """The variable, whether it acts as a friction or not."""
         return self.name.partition(",")[0]
 
-    def columns(self, design: Design) -> Array:
-        """(R, k) change of the residuals."""
-        return design.at(self.signal).columns(self.rows, self.signal)
-
 
 @dataclass(frozen=True)
 class Judge:
@@ -392,9 +388,8 @@ def varying(
     design = judge.design
     every = variables(design, positions)
     drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
-    shaped = [sines(design, float(p)) for p in periods(design)[::3]] + [
-        swung(design, float(w)) for w in FREQUENCIES[::3]
-    ]
+    shaped = [*(sines(design, float(p)) for p in periods(design)[::3]),
+              *(swung(design, float(w)) for w in FREQUENCIES[::3])]  # fmt: skip
     by_chance = [_by_chance(judge, every, shaped, moved) for moved in drawn]
     chance = float(np.quantile(by_chance, 1.0 - SETTINGS.law_level))
     explained: list[tuple[Dependence, Explained]] = []

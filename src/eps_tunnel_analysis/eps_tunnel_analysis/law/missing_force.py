@@ -81,7 +81,7 @@ class MissingForce:
         floors: mean square of the residuals in units of the noise floor, without the force and, as linearised, with it.
         worst: that of the worst signal without the force: others with a wide floor would hide it.
         side: of the axis that it acts on, "motor" or "load".
-        unforced: the plays linearised about the model's own motion, without the force; none if `plays` are.
+        unforced: the plays linearised about the model's own motion, without the force; empty if that is `plays`.
     """
 
     axis: str
@@ -122,7 +122,6 @@ def missing_force(
     forces = [np.zeros(playing.count(p)) for p in range(len(plays))]
     nodes_of = [_nodes(playing.evidence[p].times(0)) for p in range(len(plays))]
     samples_of = [owner[search.used] == p for p in range(len(plays))]
-    first_residuals: Array | None = None
     smoothness, least, share = 1.0, np.inf, 1.0
     accepted = target = forces
     answers: list[PlayAnswer] = []
@@ -136,8 +135,7 @@ def missing_force(
         ]
         rolled_out = np.concatenate([about.rolled_out for about in parts])
         cost = float(np.mean(rolled_out**2))
-        if first_residuals is None:
-            first_residuals = rolled_out
+        if not unforced:
             smoothness = _bandwidth([(about.residuals, about.answer) for about in parts])
         elif not cost < least:  # a step too far for the linearisation that it came from
             share *= 0.5
@@ -159,11 +157,11 @@ def missing_force(
                 )
             )  # fmt: skip
         forces, unforced = target, unforced or tuple(answers)
-    assert first_residuals is not None
+    without = np.concatenate([a.residuals for a in unforced])
     remaining = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     slides, side = model.rig.axis(part.name).slides, "load" if at_load else "motor"
-    floors = float(np.mean(first_residuals**2)), float(np.mean(remaining**2))
-    worst = worst_floors(first_residuals, np.concatenate([a.signal for a in answers]))
+    floors = float(np.mean(without**2)), float(np.mean(remaining**2))
+    worst = worst_floors(without, np.concatenate([a.signal for a in answers]))
     return MissingForce(
         part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, worst, side, unforced
     )

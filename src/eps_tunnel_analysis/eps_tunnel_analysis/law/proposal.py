@@ -363,8 +363,8 @@ def _curve(
 ) -> tuple[tuple[tuple[float, float], ...], tuple[float, ...]]:
     """What is missing over a variable, as (variable, force) at ten places, and half of the 90 % interval at each."""
     chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (over.curve, over.place))
-    columns = chosen.columns(design)
     about = design.at(chosen.signal)
+    columns = about.columns(chosen.rows, chosen.signal)
     weights = Predictor(about).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(over.curve, spans[over.curve]).tolist(), weights.tolist(), strict=True))
     return table, tuple(half_widths(about, columns).tolist())
