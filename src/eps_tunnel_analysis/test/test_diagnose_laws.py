@@ -305,7 +305,7 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
         least = max(s.material, s.share * (base - 1.0))
         costs = np.array([[least + 1.0, 1.0]])
         sets = [hypothesis(effects, np.ones(8)) for effects in (("a.x",), ("a.x", "b.x"))]
-        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), True)
+        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), s.material)
         assert needed == pytest.approx(np.array([[1.0, 0.5]]))
     assert rank_module._curve_room(101.0, 1.0) == pytest.approx(max(s.material, 100.0 * s.curve))
     assert smallest_set({"a": s.coverage, "b": 1.0 - s.coverage}, s.coverage) == ("a",)
@@ -314,9 +314,15 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
 def test_an_effect_that_takes_away_none_of_what_is_left_is_no_rival_of_one_that_does() -> None:
     sets = [hypothesis((name,), np.ones(8)) for name in ("a.x", "b.x", "c.x")]
     left = np.array([[1.1, 2.1, 2.2]])
-    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), True)
+    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), SETTINGS.material)
     assert needed[0, 0] > 0.95 and needed[0, 1:].max() < 1e-6
-    assert rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), False).min() == 1.0
+
+
+def test_what_is_sure_but_far_below_the_noise_is_not_named_though_no_trial_was_repeated() -> None:
+    costs = {(): 0.87, ("a.x",): 0.77}
+    long = smooth_noise(20 * SAMPLES, 0)
+    assert probabilities(costs, long, floor=False)[NONE] > 0.9
+    assert probabilities({name: 20.0 * cost for name, cost in costs.items()}, long, floor=False)["a.x"] > 0.9
 
 
 def test_what_an_effect_of_one_form_leaves_is_something_else() -> None:

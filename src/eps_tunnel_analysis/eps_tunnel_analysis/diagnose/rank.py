@@ -214,7 +214,7 @@ def rank(
     lowest_curve = worst[:, first:].min(axis=1) if curves else np.full(len(costs), np.inf)
     none, shares, unknown = _probabilities(
         base, hypotheses, costs[:, :first], worst[:, :first], lowest_curve, worth, tried, level / unit,
-        floor,
+        floor, SETTINGS.material / unit,
     )  # fmt: skip
     if not floor:
         beyond = _soft(np.log(np.maximum(worst[:, 0] * unit, 1e-12) / (SETTINGS.unrepeated * SETTINGS.healthy)))
@@ -299,6 +299,7 @@ def _probabilities(
     tried: int,
     level: float,
     floor: bool,
+    material: float,
 ) -> tuple[Array, Array, Array]:
     """For each draw: probability of none (d,), of each set (d, h), of something unknown (d,).
 
@@ -309,6 +310,7 @@ def _probabilities(
         worst: the same for each one's worst signal, which shows whether anything is left.
         curve: (d,) floors left by the best free curve.
         worth: independent samples.
+        material: what an effect must explain at least, in the unit of the costs.
     """
     base, remaining = worst[:, 0], worst[:, 1:]
     if not len(hypotheses):
@@ -324,11 +326,12 @@ def _probabilities(
     beyond_noise = np.maximum(before - 1.0, 0.0)
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
-    scores = _no_better_than_simpler(hypotheses, scores, remaining, beyond_noise, kept)
+    scores = _no_better_than_simpler(hypotheses, scores, remaining, beyond_noise, kept, material)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
-    scores += np.log(np.maximum(_needed(hypotheses, base, remaining, beyond_noise, kept, floor), 1e-300))
+    needed = _needed(hypotheses, base, remaining, beyond_noise, kept, material)
+    scores += np.log(np.maximum(needed, 1e-300))
     # A value far from the stated one counts as evidence like a misfit.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
     alone = -0.5 * worth * _surprise(costs[:, 0] / known) - 0.5 * bare.strain
@@ -338,7 +341,8 @@ def _probabilities(
         top = scores.max(axis=1)
         others = top + np.log(np.exp(scores - top[:, None]).sum(axis=1))
         none = 1.0 / (1.0 + np.exp(np.clip(others - alone, -700.0, 700.0)))
-        return none, shares * (1.0 - none)[:, None], np.zeros_like(none)
+        named = shares * needed * (1.0 - none)[:, None]  # many samples make the smallest gain sure
+        return 1.0 - named.sum(axis=1), named, np.zeros_like(none)
     # What is little enough for a healthy rig is missing only as far as it also predicts what it was not fitted to.
     fitted, predicted = _gain(base, remaining.min(axis=1)), _gain(costs[:, 0], costs[:, 1:].min(axis=1))
     gain = np.maximum(np.minimum(fitted, predicted), _gain(base, curve)) - 2.0 * SETTINGS.width
@@ -368,33 +372,33 @@ def _surprise(cost: Array) -> Array:
 
 
 def _needed(
-    hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, floor: bool
+    hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, material: float
 ) -> Array:
     """(d, h) how far each hypothesis explains materially more than each of fewer effects that it contains, or the base.
 
-    If the floor shows how much is missing, an effect that explains none of it is no better than something unknown, and
-    many of these must not outweigh the one that does. Without a floor, effects are compared with one another.
+    An effect that explains none of what is missing is no better than something unknown, and many of these must not
+    outweigh the one that does. Nor does what is far below the noise of the sensors matter, however sure it is.
 
     Args:
         misfit: (d,) floors beyond the noise.
         kept: (h,) share of them by which the form of each hypothesis counts.
+        material: floors that matter.
     """
     needed = np.ones_like(costs)
     sets = [frozenset(h.refit.effects) for h in hypotheses]
     for i, h in enumerate(hypotheses):
         smaller = [j for j, other in enumerate(sets)
                    if len(other) < len(sets[i]) and (other < sets[i] or other in h.contains)]  # fmt: skip
-        if not smaller and len(sets[i]) < 2 and not floor:
-            continue
         simpler = [(costs[:, j], kept[j]) for j in smaller] or [(base, 1.0)]
         for cost, share in simpler:
-            needed[:, i] = np.minimum(needed[:, i], _materially(cost - costs[:, i], misfit, share))
+            needed[:, i] = np.minimum(needed[:, i], _materially(cost - costs[:, i], misfit, share, material))
     return needed
 
 
 def _no_better_than_simpler(
-    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, misfit: Array, kept: Array
-) -> Array:
+    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, misfit: Array, kept: Array,
+    material: float,
+) -> Array:  # fmt: skip
     """Scores (d, h) with none above that of a simpler form of the same effects, unless it explains materially more.
 
     Then the number of their values decides between the two forms.
@@ -403,15 +407,15 @@ def _no_better_than_simpler(
     capped = scores.copy()
     for i, h in enumerate(hypotheses):
         for j in (j for j, other in enumerate(sets) if len(other) == len(sets[i]) and other in h.contains):
-            more = _materially(costs[:, j] - costs[:, i], misfit, kept[j])
+            more = _materially(costs[:, j] - costs[:, i], misfit, kept[j], material)
             alike = np.minimum(scores[:, i], scores[:, j])
             capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
     return capped
 
 
-def _materially(gain: Array, misfit: Array, kept: float) -> Array:
-    """(d,) from 0 to 1: how far gains (d,) in floors are more than what form alone may do."""
-    least = np.maximum(SETTINGS.material, SETTINGS.share * kept * misfit)
+def _materially(gain: Array, misfit: Array, kept: float, material: float) -> Array:
+    """(d,) from 0 to 1: how far gains (d,) in floors are more than what matters and than what form alone may do."""
+    least = np.maximum(material, SETTINGS.share * kept * misfit)
     return _soft(np.log(np.maximum(gain, 1e-12) / least))
 
 
