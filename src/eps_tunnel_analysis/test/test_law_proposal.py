@@ -20,7 +20,7 @@ from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
-from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_proposed, confirmed, propose, runs_away
+from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_proposed, _ways, confirmed, propose, runs_away
 from eps_tunnel_analysis.outputs import json_text, plain
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import Chart, render
@@ -237,9 +237,12 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     speed, load = dependence("speed", "curve_speed", 0.7), dependence("load, as friction", "curve_load_friction", 0.72)
     found = Depends((load, speed), 0.1, speed, (load,))
     chosen = Formula((Chosen(terms["load"], {"share": 0.1}), Chosen(terms["drag"], {"size": 0.1})), 0.8, (0.7, 0.9))
-    assert _as_proposed(found, chosen).first == load and _as_proposed(found, chosen).ties == (speed,)
+    assert _as_proposed(found, chosen, speed).first == load and _as_proposed(found, chosen, speed).ties == (speed,)
     chance = replace(found, dependences=(replace(load, named=False), speed))
-    assert _as_proposed(chance, chosen).first == speed
+    assert _as_proposed(chance, chosen, speed).first == speed
+    # A sensor may have the name of the axis.
+    read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
+    assert _ways(replace(found, ties=(load, read))) == [speed, read]
 
 
 def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingForce, model: Model) -> None:

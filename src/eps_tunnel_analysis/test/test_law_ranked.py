@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a formula is chosen among sets of terms, what it is ranked with, and what else is missing."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from eps_tunnel_analysis.diagnose.added_force import Forces
 from eps_tunnel_analysis.diagnose.axis import diagnose_axis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions
-from eps_tunnel_analysis.law.depends import Depends
+from eps_tunnel_analysis.law import proposal
+from eps_tunnel_analysis.law.depends import Depends, depends
 from eps_tunnel_analysis.law.formula import Formula
 from eps_tunnel_analysis.law.missing_force import missing_force, missing_offset
 from eps_tunnel_analysis.law.proposal import NAME, Proposal, also_missing, propose
@@ -70,6 +74,26 @@ def labyrinth() -> Model:
     return load_model("labyrinth_manual")
 
 
+def test_between_a_force_and_the_error_of_a_sensor_roll_outs_decide(
+    labyrinth: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tied(*args: Any, **options: Any) -> Depends:
+        found = depends(*args, **options)
+        force = next(d for d in found.dependences if d.acts == ("y", False) and d.curve == "curve_angle")
+        assert found.first is not None and found.first.acts == ("board_y", True)
+        return replace(found, first=force, ties=(found.first,))
+
+    wrong = labyrinth.with_effect("sensor_gain", "board_y", {"gain": 1.04})
+    monkeypatch.setattr(proposal, "depends", tied)
+    t = np.arange(0.0, 4.0 + STEP / 2, STEP)
+    command = np.stack([0.0 * t, 0.05 * np.sin(2 * np.pi * 0.25 * t)], axis=1)
+    found = propose(labyrinth, [played(wrong, command, 3, 2e-4)], PARTS["y"], nthread=1)
+    assert found.place == "board_y" and found.equation == "g angle" and found.effect == f"{NAME}.board_y"
+    assert found.depends.first is not None and found.depends.first.of_sensor and not found.depends.ties
+    assert "g angle, read by board_y" in found.tried and len(found.tried) > 1
+    assert found.curve_units == ("rad", "rad")
+
+
 def both(seconds: float = 2.0) -> np.ndarray:
     t = np.arange(round(seconds / STEP) + 1) * STEP
     return np.stack([0.06 * np.sin(2 * np.pi * t), 0.05 * np.sin(2 * np.pi * 1.7 * t)], axis=1)
@@ -119,3 +143,14 @@ def test_the_offset_that_a_sensor_lacks_is_found(labyrinth: Model) -> None:
     assert board.signal == "board_x" and np.median(board.offset[0]) == pytest.approx(0.01, abs=5e-4)
     assert abs(np.median(motor.offset[0])) < 1e-3 and board.floors[1] < 0.1 * board.floors[0]
     assert board.to_json()["unit"] == "rad"
+
+
+def test_the_offset_of_a_sensor_is_added_to_the_models_own_motion(labyrinth: Model) -> None:
+    """With dry friction, the motion with the force that would explain the misfit as well is another one."""
+    t = np.arange(0.0, 4.0 + STEP / 2, STEP)
+    command = np.stack([0.05 * np.sin(2 * np.pi * 0.3 * t), 0.0 * t], axis=1)
+    sticks = labyrinth.with_effect("coulomb_friction", "x", {"torque": 0.4})
+    wrong = sticks.with_effect("sensor_gain", "board_x", {"gain": 1.1})
+    missing = missing_force(sticks, [played(wrong, command, 1, 1e-4)], PARTS["x"], nthread=1)
+    motor, board = missing_offset(missing, 0), missing_offset(missing, 1)
+    assert motor.floors[0] < 2.0 and board.floors[0] > 1000.0 and board.floors[1] < 2.0

@@ -315,6 +315,16 @@ class Dependence:
         """What a term that fits it is over: the free curve's variable, or SWING."""
         return SWING if self.frequency else self.curve
 
+    @property
+    def of_sensor(self) -> bool:
+        """Whether it is the error of a sensor; a force otherwise."""
+        return self.curve in OF_SENSORS
+
+    @property
+    def acts(self) -> tuple[str, bool]:
+        """Where it acts: an axis and a sensor may have the same name."""
+        return self.place, self.of_sensor
+
 
 @dataclass(frozen=True)
 class Depends:
@@ -360,7 +370,7 @@ def depends(
     first, always = steady
     beyond = varying(Judge(design, always), positions, rng, seed, ratios or {})
     best = beyond.first
-    if best and (best.place == first.place or best.share * (1.0 - first.share) > first.share):
+    if best and (best.acts == first.acts or best.share * (1.0 - first.share) > first.share):
         return beyond
     return Depends((first, *beyond.dependences), first.chance, first)
 
@@ -415,7 +425,7 @@ def varying(
     over_speed = first.over == "curve_speed"
     same = {first.variable, *(("direction", "speed") if over_speed else ())}
     friction = FRICTION if over_speed else ()
-    ties = [d for d in near if d.place != first.place or (d.variable not in same and d.curve not in friction)]
+    ties = [d for d in near if d.acts != first.acts or (d.variable not in same and d.curve not in friction)]
     return Depends(ordered, chance, first, tuple(d for d in ties if not d.pair or first.pair))
 
 

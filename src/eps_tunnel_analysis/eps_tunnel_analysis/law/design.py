@@ -49,7 +49,7 @@ class Design:
 
     @cached_property
     def _of_sensors(self) -> "Design":
-        return self._about(self.missing, self.missing.unforced or self.missing.plays)
+        return self._about(self.missing, self.missing.unforced)
 
     def at(self, signal: int | None) -> "Design":
         """The one for the error of a sensor with this number; None for a force."""

@@ -81,7 +81,7 @@ class MissingForce:
         floors: mean square of the residuals in units of the noise floor, without the force and, as linearised, with it.
         worst: that of the worst signal without the force: others with a wide floor would hide it.
         side: of the axis that it acts on, "motor" or "load".
-        unforced: the plays linearised about the model's own motion, without the force; empty if that is `plays`.
+        unforced: the plays linearised about the model's own motion, without the force; `plays` by default.
     """
 
     axis: str
@@ -93,6 +93,10 @@ class MissingForce:
     worst: float = float("nan")
     side: str = "motor"
     unforced: tuple[PlayAnswer, ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.unforced:
+            object.__setattr__(self, "unforced", self.plays)
 
     @property
     def size(self) -> float:
@@ -193,11 +197,13 @@ class MissingOffset:
 def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
     """The offset that would explain one sensor's misfit, with the smoothness that best predicts left-out samples.
 
+    If the sensor is wrong, no force is missing, so it is added to what the model's own motion shows.
+
     Args:
         number: of the signal among those compared.
     """
     parts = []
-    for play in missing.plays:
+    for play in missing.unforced:
         here = play.signal == number
         parts.append((play.residuals[here], _between(play.time[here], play.nodes, play.scale[here])))
     weight = _bandwidth(parts)
@@ -207,7 +213,9 @@ def missing_offset(missing: MissingForce, number: int) -> MissingOffset:
     floors = float(np.mean(before**2)), float(np.mean(after**2))
     offsets, bands = zip(*smoothed, strict=True)
     unit = "m" if missing.unit == "N" else "rad"
-    return MissingOffset(missing.signals[number], unit, tuple(p.nodes for p in missing.plays), offsets, bands, floors)
+    return MissingOffset(
+        missing.signals[number], unit, tuple(p.nodes for p in missing.unforced), offsets, bands, floors
+    )
 
 
 def trial_offsets(plays: Sequence[Play], signals: Sequence[str]) -> dict[str, Array]:

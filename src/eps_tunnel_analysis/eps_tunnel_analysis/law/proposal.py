@@ -264,9 +264,10 @@ def _missing_json(missing: MissingForce) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Attempt:
-    """A formula or a free curve, refitted."""
+    """A formula or a free curve, refitted; `way` is what was named where it acts."""
 
     kind: str
+    way: Dependence
     effect: str
     law: Formula
     refit: Refitted
@@ -305,9 +306,6 @@ def propose(
     if first is None:
         return Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
                         trials=trials)  # fmt: skip
-    sensor = list(part.signals).index(first.place) if first.curve in OF_SENSORS else None
-    terms = dictionary(design) if sensor is None else sensor_dictionary(design)
-    laws = formulas(design, terms, sensor, seed)
     spans = visited(motions)
     spans |= {"curve_sensor": spans["curve_angle"], "curve_sensor_speed": spans["curve_speed"]}
     table, band = _curve(design, positions, spans, first)
@@ -315,24 +313,29 @@ def propose(
                     visit=shows, offsets=offsets, trials=trials)  # fmt: skip
     run = SearchOptions((), nthread)
     tried: list[_Attempt] = []
-    for law in laws:
-        effect = declared(effect_file(law.terms))
-        lib = _library(model, part, effect, first.place)
-        named = zip(law.terms, prefixes(law.terms), strict=True)
-        start = {f"{NAME}.{first.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
-        attempt = _refitted("formula", law, lib, plays, part, run, start)
-        if not runs_away(attempt.model, shows.command, nthread):
-            tried.append(attempt)
+    terms = 0
+    for way in _ways(dependence):
+        sensor = list(part.signals).index(way.place) if way.of_sensor else None
+        words = sensor_dictionary(design) if way.of_sensor else dictionary(design)
+        terms += len(words)
+        for law in formulas(design, words, sensor, seed):
+            effect = declared(effect_file(law.terms))
+            lib = _library(model, part, effect, way.place)
+            named = zip(law.terms, prefixes(law.terms), strict=True)
+            start = {f"{NAME}.{way.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
+            attempt = _refitted("formula", law, lib, plays, part, run, start, way)
+            if not runs_away(attempt.model, shows.command, nthread):
+                tried.append(attempt)
     best = _best(tried)
     if best is None or best.refit.held_out > SETTINGS.law_complete:
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {
             f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, (w for _, w in table), strict=True)
         }
-        free = _refitted("curve", nothing, lib, plays, part, run, start)
+        free = _refitted("curve", nothing, lib, plays, part, run, start, first)
         if best is None or free.refit.held_out * SETTINGS.law_as_good < best.refit.held_out:
             best = free if np.isfinite(free.refit.held_out) else best
-    bare = replace(bare, tried={equation_of(t.law.terms): t.refit.held_out for t in tried})
+    bare = replace(bare, tried={_words(t, first): t.refit.held_out for t in tried})
     if best is None:
         return bare
     base = best.search.refit([((), best.search.start)], LAW_ROUNDS, "fine")[0]
@@ -342,18 +345,18 @@ def propose(
     text, law = "", best.law
     if best.kind == "formula":
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
-        mark = seen_mark(model, declared(effect_file(law.terms)), first.place, plays[0])
+        mark = seen_mark(model, declared(effect_file(law.terms)), best.way.place, plays[0])
         text = effect_file(law.terms, mark)
-        proposed = _as_proposed(dependence, law)
+        proposed = _as_proposed(dependence, law, best.way)
         if proposed.first and proposed.first is not first:
             table, band = _curve(design, positions, spans, proposed.first)
             bare = replace(bare, curve=table, curve_band=band, visit=visit(model, part.name, proposed.first, motions))
-        dependence = _with_period(proposed, law, ratios(model.rig, part.name))
+        dependence = _decided(_with_period(proposed, law, ratios(model.rig, part.name)), tried, best)
     return replace(
-        bare, kind=best.kind, effect=best.effect, text=text,
+        bare, place=best.way.place, kind=best.kind, effect=best.effect, text=text,
         equation=equation_of(law.terms) if best.kind == "formula" else effects()[first.curve].equation,
         refit=best.refit, base_held_out=before.cost, model=best.model, depends=dependence, formula=law,
-        ranked=_ranked(best, before, plays, len(terms), beside),
+        ranked=_ranked(best, before, plays, terms, beside),
         left=missing_force(best.model, plays, part, nthread, passes=1),
     )  # fmt: skip
 
@@ -368,6 +371,24 @@ def _curve(
     weights = Predictor(about).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(over.curve, spans[over.curve]).tolist(), weights.tolist(), strict=True))
     return table, tuple(half_widths(about, columns).tolist())
+
+
+def _ways(dependence: Depends) -> list[Dependence]:
+    """What is named, and of what explains as much the first that acts elsewhere.
+
+    Between a force and the error of a sensor roll-outs decide, each with a formula of its own.
+    """
+    ways: dict[tuple[str, bool], Dependence] = {}
+    for d in (dependence.first, *dependence.ties):
+        if d is not None:
+            ways.setdefault(d.acts, d)
+    return list(ways.values())
+
+
+def _words(attempt: _Attempt, first: Dependence) -> str:
+    """Its equation, and where it acts if that is elsewhere than what was named."""
+    words, (place, of_sensor) = equation_of(attempt.law.terms), attempt.way.acts
+    return words if (place, of_sensor) == first.acts else f"{words}, {'read by' if of_sensor else 'on'} {place}"
 
 
 def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
@@ -414,14 +435,22 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
         yield replace(chosen, values={n: short.get(f"{prefix}_{n}", v) for n, v in chosen.values.items()})
 
 
-def _as_proposed(dependence: Depends, law: Formula) -> Depends:
-    """What is named, if it is something else that the formula's first term depends on: roll-outs have chosen it."""
+def _as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
+    """What is named, if the formula acts elsewhere or its first term depends on something else: roll-outs chose it."""
     named, over = dependence.first, law.terms[0].term.over
-    same = [d for d in dependence.dependences if d.named and d.over == over and not (d.pair or d.constant)]
-    if named is None or not same or named.over == over:
+    same = [d for d in dependence.dependences
+            if d.named and d.over == over and d.acts == way.acts and not (d.pair or d.constant)]  # fmt: skip
+    if named is None or not same or (named.over == over and named.acts == way.acts):
         return dependence
     first = max(same, key=lambda d: d.share)
     return replace(dependence, first=first, ties=(named, *(d for d in dependence.ties if d is not first)))
+
+
+def _decided(dependence: Depends, tried: Sequence[_Attempt], best: _Attempt) -> Depends:
+    """Without what acts elsewhere and leaves clearly more in roll-outs."""
+    least = {t.way.acts: t.refit.held_out for t in sorted(tried, key=lambda t: -t.refit.held_out)}
+    enough = SETTINGS.law_as_good * best.refit.held_out
+    return replace(dependence, ties=tuple(d for d in dependence.ties if least.get(d.acts, 0.0) <= enough))
 
 
 def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
@@ -505,7 +534,7 @@ def _library(model: Model, part: AxisPart, effect: Effect, place: str) -> Librar
 
 def _refitted(
     kind: str, law: Formula, lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOptions,
-    start: Mapping[str, float],
+    start: Mapping[str, float], way: Dependence,
 ) -> _Attempt:  # fmt: skip
     """A library's one candidate in roll-outs, from start values."""
     search = search_of(lib, plays, part, run)
@@ -526,7 +555,7 @@ def _refitted(
     known = lib.model.parameters()
     judged = hypothesis(search, refit)
     refitted = Refitted(fitted, intervals, {name: known[name].unit for name in fitted}, refit.cost, judged.cost)
-    return _Attempt(kind, own.name, law, refitted, _with(lib.model, own, part, fitted), judged, search)
+    return _Attempt(kind, way, own.name, law, refitted, _with(lib.model, own, part, fitted), judged, search)
 
 
 def _with(model: Model, own: Candidate, part: AxisPart, fitted: Mapping[str, float]) -> Model:
