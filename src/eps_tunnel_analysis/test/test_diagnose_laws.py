@@ -305,7 +305,7 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
         least = max(s.material, s.share * (base - 1.0))
         costs = np.array([[least + 1.0, 1.0]])
         sets = [hypothesis(effects, np.ones(8)) for effects in (("a.x",), ("a.x", "b.x"))]
-        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), s.material)
+        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), 1.0)
         assert needed == pytest.approx(np.array([[1.0, 0.5]]))
     assert rank_module._curve_room(101.0, 1.0) == pytest.approx(max(s.material, 100.0 * s.curve))
     assert smallest_set({"a": s.coverage, "b": 1.0 - s.coverage}, s.coverage) == ("a",)
@@ -314,7 +314,7 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
 def test_an_effect_that_takes_away_none_of_what_is_left_is_no_rival_of_one_that_does() -> None:
     sets = [hypothesis((name,), np.ones(8)) for name in ("a.x", "b.x", "c.x")]
     left = np.array([[1.1, 2.1, 2.2]])
-    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), SETTINGS.material)
+    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), 1.0)
     assert needed[0, 0] > 0.95 and needed[0, 1:].max() < 1e-6
 
 

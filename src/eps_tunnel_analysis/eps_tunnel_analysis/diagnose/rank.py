@@ -214,7 +214,7 @@ def rank(
     lowest_curve = worst[:, first:].min(axis=1) if curves else np.full(len(costs), np.inf)
     none, shares, unknown = _probabilities(
         base, hypotheses, costs[:, :first], worst[:, :first], lowest_curve, worth, tried, level / unit,
-        floor, SETTINGS.material / unit,
+        floor, unit,
     )  # fmt: skip
     if not floor:
         beyond = _soft(np.log(np.maximum(worst[:, 0] * unit, 1e-12) / (SETTINGS.unrepeated * SETTINGS.healthy)))
@@ -299,7 +299,7 @@ def _probabilities(
     tried: int,
     level: float,
     floor: bool,
-    material: float,
+    unit: float,
 ) -> tuple[Array, Array, Array]:
     """For each draw: probability of none (d,), of each set (d, h), of something unknown (d,).
 
@@ -310,7 +310,7 @@ def _probabilities(
         worst: the same for each one's worst signal, which shows whether anything is left.
         curve: (d,) floors left by the best free curve.
         worth: independent samples.
-        material: what an effect must explain at least, in the unit of the costs.
+        unit: of all costs, in floors; other than 1 where the floor is not known.
     """
     base, remaining = worst[:, 0], worst[:, 1:]
     if not len(hypotheses):
@@ -326,11 +326,11 @@ def _probabilities(
     beyond_noise = np.maximum(before - 1.0, 0.0)
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
-    scores = _no_better_than_simpler(hypotheses, scores, remaining, beyond_noise, kept, material)
+    scores = _no_better_than_simpler(hypotheses, scores, remaining, beyond_noise, kept)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
-    needed = _needed(hypotheses, base, remaining, beyond_noise, kept, material)
+    needed = _needed(hypotheses, base, remaining, beyond_noise, kept, unit)
     scores += np.log(np.maximum(needed, 1e-300))
     # A value far from the stated one counts as evidence like a misfit.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
@@ -372,7 +372,7 @@ def _surprise(cost: Array) -> Array:
 
 
 def _needed(
-    hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, material: float
+    hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, unit: float
 ) -> Array:
     """(d, h) how far each hypothesis explains materially more than each of fewer effects that it contains, or the base.
 
@@ -382,7 +382,7 @@ def _needed(
     Args:
         misfit: (d,) floors beyond the noise.
         kept: (h,) share of them by which the form of each hypothesis counts.
-        material: floors that matter.
+        unit: of the costs, in floors.
     """
     needed = np.ones_like(costs)
     sets = [frozenset(h.refit.effects) for h in hypotheses]
@@ -390,15 +390,16 @@ def _needed(
         smaller = [j for j, other in enumerate(sets)
                    if len(other) < len(sets[i]) and (other < sets[i] or other in h.contains)]  # fmt: skip
         simpler = [(costs[:, j], kept[j]) for j in smaller] or [(base, 1.0)]
+        # One effect matters if it is more than the sensors' noise; another one if it is more than what the best leaves.
+        matters = SETTINGS.material / (unit if len(sets[i]) < 2 else min(unit, 1.0))
         for cost, share in simpler:
-            needed[:, i] = np.minimum(needed[:, i], _materially(cost - costs[:, i], misfit, share, material))
+            needed[:, i] = np.minimum(needed[:, i], _materially(cost - costs[:, i], misfit, share, matters))
     return needed
 
 
 def _no_better_than_simpler(
-    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, misfit: Array, kept: Array,
-    material: float,
-) -> Array:  # fmt: skip
+    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, misfit: Array, kept: Array
+) -> Array:
     """Scores (d, h) with none above that of a simpler form of the same effects, unless it explains materially more.
 
     Then the number of their values decides between the two forms.
@@ -407,15 +408,15 @@ def _no_better_than_simpler(
     capped = scores.copy()
     for i, h in enumerate(hypotheses):
         for j in (j for j, other in enumerate(sets) if len(other) == len(sets[i]) and other in h.contains):
-            more = _materially(costs[:, j] - costs[:, i], misfit, kept[j], material)
+            more = _materially(costs[:, j] - costs[:, i], misfit, kept[j])
             alike = np.minimum(scores[:, i], scores[:, j])
             capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
     return capped
 
 
-def _materially(gain: Array, misfit: Array, kept: float, material: float) -> Array:
-    """(d,) from 0 to 1: how far gains (d,) in floors are more than what matters and than what form alone may do."""
-    least = np.maximum(material, SETTINGS.share * kept * misfit)
+def _materially(gain: Array, misfit: Array, kept: float, matters: float = SETTINGS.material) -> Array:
+    """(d,) from 0 to 1: how far gains (d,) are more than what matters and than what form alone may do."""
+    least = np.maximum(matters, SETTINGS.share * kept * misfit)
     return _soft(np.log(np.maximum(gain, 1e-12) / least))
 
 
