@@ -242,7 +242,9 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     assert _as_proposed(chance, chosen, speed).first == speed
     # A sensor may have the name of the axis.
     read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
-    assert _ways(replace(found, ties=(load, read))) == [speed, read]
+    tied = replace(found, ties=(load, read))
+    assert _ways(tied) == [speed, read]
+    assert _as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read).first == read
 
 
 def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingForce, model: Model) -> None:

@@ -440,15 +440,20 @@ def _as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
     named, over = dependence.first, law.terms[0].term.over
     same = [d for d in dependence.dependences
             if d.named and d.over == over and d.acts == way.acts and not (d.pair or d.constant)]  # fmt: skip
-    if named is None or not same or (named.over == over and named.acts == way.acts):
+    if named is None or (named.over == over and named.acts == way.acts):
         return dependence
-    first = max(same, key=lambda d: d.share)
+    first = max(same, key=lambda d: d.share, default=way)
+    if first is named:
+        return dependence
     return replace(dependence, first=first, ties=(named, *(d for d in dependence.ties if d is not first)))
 
 
 def _decided(dependence: Depends, tried: Sequence[_Attempt], best: _Attempt) -> Depends:
     """Without what acts elsewhere and leaves clearly more in roll-outs."""
-    least = {t.way.acts: t.refit.held_out for t in sorted(tried, key=lambda t: -t.refit.held_out)}
+    least: dict[tuple[str, bool], float] = {}
+    for t in tried:
+        if np.isfinite(t.refit.held_out):
+            least[t.way.acts] = min(t.refit.held_out, least.get(t.way.acts, np.inf))
     enough = SETTINGS.law_as_good * best.refit.held_out
     return replace(dependence, ties=tuple(d for d in dependence.ties if least.get(d.acts, 0.0) <= enough))
 
