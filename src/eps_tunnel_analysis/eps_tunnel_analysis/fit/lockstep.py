@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many small least-squares problems descended side by side, so that each round is one batch of roll-outs.
 
-Levenberg-Marquardt with two dampings tried at once, in a box. A round costs each problem one roll-out per
+Levenberg-Marquardt with a few dampings tried at once, in a box. A round costs each problem one roll-out per
 free value for the Jacobian and one per damping for the step; the roll-outs of all problems go to the simulator
 together.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.fit.differences import jacobian, moved
 from labyrinth_sim.trials import Array
 
-DAMPINGS = np.array([0.2, 5.0])
+DAMPINGS = np.array([0.1, 1.0, 10.0])
 FIRST_DAMPING = 1e-2
 TRUST = 1e-12
 LEAST_DAMPED = 1e-3  # damping of the step whose gain the slopes promise
