@@ -74,6 +74,19 @@ def labyrinth() -> Model:
     return load_model("labyrinth_manual")
 
 
+@pytest.fixture(scope="module")
+def sticking(labyrinth: Model) -> Model:
+    return labyrinth.with_effect("coulomb_friction", "x", {"torque": 0.4})
+
+
+def alone(axis: str, rate: float) -> np.ndarray:
+    """(T, 2) rad: 4 s of a sine on one axis, in Hz, while the other rests."""
+    t = np.arange(0.0, 4.0 + STEP / 2, STEP)
+    command = np.zeros((len(t), 2))
+    command[:, list(PARTS).index(axis)] = 0.05 * np.sin(2 * np.pi * rate * t)
+    return command
+
+
 def test_between_a_force_and_the_error_of_a_sensor_roll_outs_decide(
     labyrinth: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,9 +98,7 @@ def test_between_a_force_and_the_error_of_a_sensor_roll_outs_decide(
 
     wrong = labyrinth.with_effect("sensor_gain", "board_y", {"gain": 1.04})
     monkeypatch.setattr(proposal, "depends", tied)
-    t = np.arange(0.0, 4.0 + STEP / 2, STEP)
-    command = np.stack([0.0 * t, 0.05 * np.sin(2 * np.pi * 0.25 * t)], axis=1)
-    found = propose(labyrinth, [played(wrong, command, 3, 2e-4)], PARTS["y"], nthread=1)
+    found = propose(labyrinth, [played(wrong, alone("y", 0.25), 3, 2e-4)], PARTS["y"], nthread=1)
     assert found.place == "board_y" and found.equation == "g angle" and found.effect == f"{NAME}.board_y"
     assert found.depends.first is not None and found.depends.first.of_sensor and not found.depends.ties
     assert "g angle, read by board_y" in found.tried and len(found.tried) > 1
@@ -123,16 +134,13 @@ def test_a_force_behind_a_belt_is_found_on_the_load_and_on_every_axis_that_lacks
     assert [m["side"] for m in told.to_json()["also"]] == ["load", "motor", "load"]
 
 
-def test_the_force_that_a_sticking_joint_lacks_closes_the_gap(labyrinth: Model) -> None:
+def test_the_force_that_a_sticking_joint_lacks_closes_the_gap(sticking: Model) -> None:
     """Where a joint sticks, a force that follows from slopes may be far too large, and the next one larger still."""
-    t = np.arange(0.0, 4.0 + STEP / 2, STEP)
-    command = np.stack([0.05 * np.sin(2 * np.pi * 0.3 * t), 0.0 * t], axis=1)
-    sticks = labyrinth.with_effect("coulomb_friction", "x", {"torque": 0.4})
-    more = sticks.with_effect("stribeck_friction", "x", {"extra": 0.3})
-    missing = missing_force(sticks, [played(more, command, 1, 1e-4)], PARTS["x"], nthread=1)
+    more = sticking.with_effect("stribeck_friction", "x", {"extra": 0.3})
+    plays = [played(more, alone("x", 0.3), 1, 1e-4)]
+    missing = missing_force(sticking, plays, PARTS["x"], nthread=1)
     assert missing.floors[0] > 1000.0 and missing.floors[1] < 3.0
-    assert missing.worst == pytest.approx(missing_force(sticks, [played(more, command, 1, 1e-4)], PARTS["x"],
-                                                        nthread=1, passes=1).worst)  # fmt: skip
+    assert missing.worst == pytest.approx(missing_force(sticking, plays, PARTS["x"], nthread=1, passes=1).worst)
     assert missing.size < 1.0
 
 
@@ -145,12 +153,9 @@ def test_the_offset_that_a_sensor_lacks_is_found(labyrinth: Model) -> None:
     assert board.to_json()["unit"] == "rad"
 
 
-def test_the_offset_of_a_sensor_is_added_to_the_models_own_motion(labyrinth: Model) -> None:
+def test_the_offset_of_a_sensor_is_added_to_the_models_own_motion(sticking: Model) -> None:
     """With dry friction, the motion with the force that would explain the misfit as well is another one."""
-    t = np.arange(0.0, 4.0 + STEP / 2, STEP)
-    command = np.stack([0.05 * np.sin(2 * np.pi * 0.3 * t), 0.0 * t], axis=1)
-    sticks = labyrinth.with_effect("coulomb_friction", "x", {"torque": 0.4})
-    wrong = sticks.with_effect("sensor_gain", "board_x", {"gain": 1.1})
-    missing = missing_force(sticks, [played(wrong, command, 1, 1e-4)], PARTS["x"], nthread=1)
+    wrong = sticking.with_effect("sensor_gain", "board_x", {"gain": 1.1})
+    missing = missing_force(sticking, [played(wrong, alone("x", 0.3), 1, 1e-4)], PARTS["x"], nthread=1)
     motor, board = missing_offset(missing, 0), missing_offset(missing, 1)
     assert motor.floors[0] < 2.0 and board.floors[0] > 1000.0 and board.floors[1] < 2.0

@@ -22,7 +22,6 @@ from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.depends import (
-    OF_SENSORS,
     OVER_SPEED,
     SWING,
     Dependence,
@@ -246,11 +245,13 @@ class Proposal:
     @property
     def curve_units(self) -> tuple[str, str]:
         """SI units of the two columns of `curve`: of the variable named, and of what is missing."""
-        which = self.depends.first.curve if self.depends.first else ""
+        first = self.depends.first
         force, position = self.missing.unit, self.position_unit
         over = dict.fromkeys(OVER_SPEED, f"{position}/s") | {"curve_load_friction": force, "curve_reversal": "s"}
         over |= {"curve_time": "s", "curve_time_friction": "s"}
-        return over.get(which, position), position if which in OF_SENSORS else force
+        if first is None:
+            return position, force
+        return over.get(first.curve, position), position if first.of_sensor else force
 
     def _units(self, chosen: Chosen) -> dict[str, str]:
         slides = self.missing.unit == "N"
@@ -450,12 +451,10 @@ def _as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
 
 def _decided(dependence: Depends, tried: Sequence[_Attempt], best: _Attempt) -> Depends:
     """Without what acts elsewhere and leaves clearly more in roll-outs."""
-    least: dict[tuple[str, bool], float] = {}
-    for t in tried:
-        if np.isfinite(t.refit.held_out):
-            least[t.way.acts] = min(t.refit.held_out, least.get(t.way.acts, np.inf))
+    judged = [t for t in tried if np.isfinite(t.refit.held_out)]
     enough = SETTINGS.law_as_good * best.refit.held_out
-    return replace(dependence, ties=tuple(d for d in dependence.ties if least.get(d.acts, 0.0) <= enough))
+    more = {t.way.acts for t in judged} - {t.way.acts for t in judged if t.refit.held_out <= enough}
+    return replace(dependence, ties=tuple(d for d in dependence.ties if d.acts not in more))
 
 
 def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
