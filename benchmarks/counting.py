@@ -21,6 +21,7 @@ VISIBLE = 3.0  # times the floor
 INVISIBLE = 1.0  # times the floor; below, "nothing is missing within the noise" is true
 SURE = 0.95
 LEVELS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)  # of stated probability, for the reliability
+NAMELESS = ("none", "unknown", "overlooked", "imitated")  # hypotheses that are not sets of effects
 LEAST = 1e-4  # a probability below counts as this in the log score
 WORTH = 0.1  # of the held-out error that the true form must take away for its fall to be compared
 Z = 1.959964  # of a two-sided 95 %
@@ -111,9 +112,9 @@ def is_true(r: Record, hypothesis: str) -> bool:
     """Whether a hypothesis holds: the truth, or what is visible of it, "none" if nothing is."""
     if _sorted(hypothesis) in _truths(r):
         return True
-    if hypothesis == "overlooked":
-        foreign = _truths(r) & {"none", "unknown"}
-        return not foreign and not any(is_true(r, name) for name in r["set"] if name != "overlooked")
+    if hypothesis in ("overlooked", "imitated"):
+        foreign = _truths(r) & ({"none", "unknown"} if hypothesis == "overlooked" else {"none"})
+        return not foreign and not any(is_true(r, name) for name in r["set"] if name not in NAMELESS)
     if r["kind"] == "pair":
         return _sorted(hypothesis) in _visible_parts(r)
     return bool(r["kind"] != "healthy" and r["visibility"] < INVISIBLE and hypothesis == "none")

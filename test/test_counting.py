@@ -59,6 +59,18 @@ def test_a_library_effect_that_no_listed_hypothesis_names_was_overlooked():
     assert [log_score(r) for r in records] == pytest.approx([log(0.25), log(0.15), log(0.6)])
 
 
+def test_what_is_missing_imitates_the_effects_named_if_none_of_them_is_true():
+    given = {"a.x": 0.7, "imitated": 0.2, "none": 0.1}
+    records = [
+        case("single", "a.x", "effect", given),
+        case("single", "b.x", "effect", given),
+        case("outside", "unknown", "effect", given),
+        case("healthy", "none", "effect", given, visibility=0.0),
+    ]
+    assert [is_true(r, "imitated") for r in records] == [False, True, True, False]
+    assert [log_score(r) for r in records] == pytest.approx([log(0.7), log(0.2), log(0.2), log(0.1)])
+
+
 def test_both_of_a_pair_and_nothing_else():
     both = {"a.x + b.y": 1.0}
     records = [

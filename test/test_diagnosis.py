@@ -19,6 +19,7 @@ from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
+from eps_tunnel_analysis.diagnose.rank import itself
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import parse_sequence
@@ -90,7 +91,7 @@ def test_a_strong_effect_is_named_and_its_error_falls(unbalanced: tuple[Play, Di
 def test_what_is_said_of_an_axis_fits_together(unbalanced: tuple[Play, Diagnosis]) -> None:
     found = unbalanced[1]
     (x,) = found.verdict.axes.values()
-    assert x.marginals["gravity_load.x"] > 0.9 > 0.1 > x.none + x.unknown
+    assert x.marginals["gravity_load.x"] > itself(0.9, 1) > 0.1 > x.none + x.unknown
     share, low, high = x.explained["gravity_load.x"]
     assert 0.9 < low <= share <= high <= 1.0
     assert x.floors[1] < SETTINGS.healthy < x.floors[0]

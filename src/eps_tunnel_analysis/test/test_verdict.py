@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eps_tunnel_analysis.diagnose.rank import NONE, OVERLOOKED, UNKNOWN, joint, name_of, smallest_set, with_overlooked
+from eps_tunnel_analysis.diagnose.rank import (
+    NONE,
+    OVERLOOKED,
+    UNKNOWN,
+    joint,
+    name_of,
+    smallest_set,
+    with_imitated,
+    with_overlooked,
+)
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, decide, sentence
 from labyrinth_sim.registry import Registry
@@ -21,6 +30,21 @@ def test_part_of_what_is_unknown_may_be_known_effects_that_were_not_found() -> N
     kind, named, stated = decide(found, SETTINGS.coverage)
     assert (kind, named, stated) == ("unknown", (), (UNKNOWN, OVERLOOKED, NONE))
     assert with_overlooked({NONE: 1.0, UNKNOWN: 0.0}) == {NONE: 1.0, UNKNOWN: 0.0}
+
+
+def test_part_of_what_is_named_may_be_something_that_behaves_like_it() -> None:
+    itself = 1.0 - SETTINGS.imitated
+    found = with_imitated({"a.x": 0.6, "a.x + b.y": 0.3, NONE: 0.06, UNKNOWN: 0.04})
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert found["a.x"] == pytest.approx(0.6 * itself)
+    assert found["a.x + b.y"] == pytest.approx(0.3 * itself**2), "each of two may be imitated"
+    assert (found[NONE], found[UNKNOWN]) == (0.06, 0.04), "what names nothing is imitated by nothing"
+    assert list(found) == sorted(found, key=lambda name: -found[name]), "most probable first"
+    assert with_imitated({NONE: 1.0, UNKNOWN: 0.0}) == {NONE: 1.0, UNKNOWN: 0.0}
+    said = sentence("effect", ("a.x",), ("a.x",), with_imitated({"a.x": 0.99, NONE: 0.01}), {}, Registry.load())
+    assert said == "The model lacks a on x (76%), or something that behaves like it (23%)."
+    said = sentence("undecided", ("a.x",), ("a.x", "b.x"), with_imitated({"a.x": 0.5, "b.x": 0.5}), {}, Registry.load())
+    assert said.endswith("between a on x (38%) and b on x (38%); something else may behave like them (23%).")
 
 
 def test_axes_are_joined_as_products() -> None:
@@ -74,7 +98,7 @@ def axis(base: float, after: float, explained: dict[str, float], unknown: float,
 
 def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
     axes = {
-        "x": axis(80.0, 2.0, {"backlash.x": 0.97}, 0.02, backlash_on_x=0.98),
+        "x": axis(80.0, 2.0, {"backlash.x": 0.97}, 0.02, backlash_on_x=0.75),
         "y": axis(40.0, 15.0, {"gain_error.y": 0.6}, 0.9, gain_error_on_y=0.1),
         "z": axis(1.1, 1.1, {}, 0.03),
     }
@@ -83,7 +107,7 @@ def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
         "Something is missing that no known effect explains in full (70%), "
         "or a combination of known effects that was not found (20%). "
     )
-    assert "Backlash (belt slack) on x (98%) explains 97% of what the model leaves there." in said
+    assert "Backlash (belt slack) on x (75%) explains 97% of what the model leaves there." in said
     assert "On y gain error on y explains 60% of 40 floors." in said
     assert "Nothing is missing on z, 1.1 floors." in said
 

@@ -28,6 +28,7 @@ from eps_tunnel_analysis.diagnose.doubts import doubts, notes_of
 from eps_tunnel_analysis.diagnose.errors import distances
 from eps_tunnel_analysis.diagnose.experiment import next_experiment
 from eps_tunnel_analysis.diagnose.progress import RolloutCount, RolloutProgress, expected_rollouts
+from eps_tunnel_analysis.diagnose.rank import with_imitated
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import Verdict, decide, sentence
 from eps_tunnel_analysis.fit.cluster import Spread
@@ -87,6 +88,7 @@ def diagnose(
     # What is missing in all, and the models with and without it.
     probabilities = together(axes)
     kind, named, stated = decide(probabilities, SETTINGS.coverage)
+    beliefs = with_imitated(probabilities)
     missing = {c.name: axis.base.cost for axis in axes for c in axis.search.library.candidates}
     named = tuple(sorted(named, key=lambda name: -missing[name]))
     # Where something unknown is missing, the lowest valley would only imitate it best.
@@ -108,10 +110,10 @@ def diagnose(
     verdict = Verdict(
         verdict=kind,
         effects=named,
-        set=probabilities,
+        set=beliefs,
         stated=stated,
         coverage=SETTINGS.coverage,
-        sentence=sentence(kind, named, stated, probabilities, verdicts, model.registry, floor_known(plays)),
+        sentence=sentence(kind, named, stated, beliefs, verdicts, model.registry, floor_known(plays)),
         where=far.where,
         given=far.errors[0],
         before=far.errors[1],

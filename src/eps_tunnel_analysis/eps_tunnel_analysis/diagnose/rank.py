@@ -23,7 +23,9 @@ from labyrinth_sim.trials import Array
 NONE, UNKNOWN = "none", "unknown"
 OVERLOOKED = "overlooked"
 """Effects of the library that explain what is missing, but that no descent found."""
-UNEXPLAINED = (UNKNOWN, OVERLOOKED)
+IMITATED = "imitated"
+"""Something else that behaves like the effects named, so that no recording at hand tells it from them."""
+UNEXPLAINED = (UNKNOWN, OVERLOOKED, IMITATED)
 """Hypotheses that something is missing, but not what."""
 NAMELESS = (NONE, *UNEXPLAINED)
 """Hypotheses that are not sets of effects."""
@@ -460,6 +462,18 @@ def with_overlooked(probabilities: Mapping[str, float]) -> dict[str, float]:
     if missed < LEAST:
         return dict(probabilities)
     return ordered({**probabilities, UNKNOWN: probabilities[UNKNOWN] - missed, OVERLOOKED: missed})
+
+
+def itself(probability: float, effects: int) -> float:
+    """The part of the probability of so many effects that is for them, and not for something that behaves like them."""
+    return probability * (1.0 - SETTINGS.imitated) ** effects
+
+
+def with_imitated(probabilities: Mapping[str, float]) -> dict[str, float]:
+    """The probabilities with a part of each effect's for what behaves like it."""
+    kept = {n: p if n in NAMELESS else itself(p, len(n.split(" + "))) for n, p in probabilities.items()}
+    others = sum(probabilities.values()) - sum(kept.values())
+    return ordered({**kept, IMITATED: others}) if others >= LEAST else dict(probabilities)
 
 
 def ordered(probabilities: Mapping[str, float]) -> dict[str, float]:

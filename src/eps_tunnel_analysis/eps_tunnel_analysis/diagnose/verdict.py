@@ -7,12 +7,14 @@ from typing import Any, Literal
 
 from eps_tunnel_analysis.alikeness import Span
 from eps_tunnel_analysis.diagnose.rank import (
+    IMITATED,
     NAMELESS,
     NONE,
     OVERLOOKED,
     UNEXPLAINED,
     UNKNOWN,
     Ranked,
+    itself,
     ordered,
     smallest_set,
 )
@@ -56,7 +58,7 @@ class AxisVerdict:
     """One axis.
 
     Attributes:
-        marginals: effect -> probability that it is missing, whatever else is.
+        marginals: effect -> probability that it is missing, and not something that behaves like it, whatever else is.
         none, unknown: probability that nothing is missing, and that something is that no set explains that was tried.
         explained: hypothesis -> share of the misfit beyond the noise that it takes away, with a 90 % interval.
         remaining: signal -> mean square left by what is named, in units of the noise floor: 1 is noise.
@@ -84,8 +86,9 @@ class Verdict:
         verdict: "complete", "effect", "undecided" or "unknown".
         effects: what is named: candidate names as `backlash.x`, on the axis that lacks most first; the most probable
             ones where undecided.
-        set: hypotheses with their probabilities, "none", "unknown" and "overlooked" among them; they sum to 1.
-        stated: the smallest part of `set` that holds the truth with probability `coverage`.
+        set: hypotheses with their probabilities, "none", "unknown", "overlooked" and "imitated" among them; they sum
+            to 1.
+        stated: the smallest part of `set` that holds the truth, or what behaves like it, with probability `coverage`.
         sentence: the verdict in plain words.
         where: time spent outside the tunnels by the model with refitted values, before anything is added.
         given, before, after: errors of the model as given, with its values refitted, and with the effects added.
@@ -216,7 +219,9 @@ def sentence(
         return f"Nothing is missing within the noise ({percent(probabilities[NONE])})."
     if kind == "effect":
         sure = percent(probabilities[stated[0]])
-        return f"The model lacks {' and '.join(in_words(name, registry) for name in effects)} ({sure})."
+        lacks = f"The model lacks {' and '.join(in_words(name, registry) for name in effects)} ({sure})"
+        them = "it" if len(effects) == 1 else "them"
+        return f"{lacks}{_imitated(f', or something that behaves like {them}', probabilities)}."
     if kind == "unknown":
         start = f"Something is missing that no known effect explains in full ({percent(probabilities[UNKNOWN])})"
         if OVERLOOKED in probabilities:
@@ -224,13 +229,14 @@ def sentence(
         start += "."
     else:
         start = undecided([f"{_hypothesis(name, registry)} ({percent(probabilities[name])})" for name in stated])
+        start = f"{start[:-1]}{_imitated('; something else may behave like them', probabilities)}."
     return " ".join([start, *(text for axis, verdict in axes.items() if (text := _part(axis, verdict, registry)))])
 
 
 def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
     """What is clear about one axis by itself; empty if nothing is."""
     before, _ = verdict.floors
-    clear = [name for name, p in verdict.marginals.items() if p >= SETTINGS.clear]
+    clear = [name for name, p in verdict.marginals.items() if p >= itself(SETTINGS.clear, 1)]
     if clear:
         share = verdict.explained.get(" + ".join(sorted(clear)), verdict.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
         named = " and ".join(f"{in_words(name, registry)} ({percent(verdict.marginals[name])})" for name in clear)
@@ -241,6 +247,10 @@ def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
     if verdict.none >= SETTINGS.clear:
         return f"Nothing is missing on {axis}, {shown_number(before, 2)} floors."
     return f"On {axis} {shown_number(before)} floors remain."
+
+
+def _imitated(words: str, probabilities: Mapping[str, float]) -> str:
+    return f"{words} ({percent(probabilities[IMITATED])})" if IMITATED in probabilities else ""
 
 
 def undecided(options: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 from eps_tunnel_analysis.diagnose.addition import Addition, addition_of
 from eps_tunnel_analysis.diagnose.progress import RolloutProgress
-from eps_tunnel_analysis.diagnose.rank import NAMELESS, NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import IMITATED, NAMELESS, NONE, UNKNOWN, itself
 from eps_tunnel_analysis.diagnose.verdict import Errors, Verdict, in_words
 from eps_tunnel_analysis.law.proposal import Proposal, confirmed
 from eps_tunnel_analysis.loop.gap import Bags, Gap, PlayableRig, measure_gap, write_gap
@@ -179,13 +179,13 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
         return (), ""
     marginals = {name: p for axis in verdict.axes.values() for name, p in axis.marginals.items()}
     named = [name.split(" + ") for name in sets]
-    shared = [n for n in named[0] if all(n in other for other in named) and marginals.get(n, 0.0) > LIKELY]
+    shared = [n for n in named[0] if all(n in other for other in named) and marginals.get(n, 0.0) > itself(LIKELY, 1)]
     if shared:
         words = " and ".join(in_words(name, registry) for name in shared)
         if len(sets) == 1:
             return tuple(shared), f"More likely than not, {words} is missing; something unknown may be missing as well."
         return tuple(shared), f"These recordings leave {len(sets)} sets of effects; all of them contain {words}."
-    if sum(verdict.set[name] for name in sets) <= LIKELY:
+    if sum(verdict.set[name] for name in sets) + verdict.set.get(IMITATED, 0.0) <= LIKELY:
         return (), ""
 
     def size(name: str) -> tuple[int, int, float]:

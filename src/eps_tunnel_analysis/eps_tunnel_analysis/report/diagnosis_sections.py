@@ -8,7 +8,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.ball import part_name
 from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording, fall_sentences
-from eps_tunnel_analysis.diagnose.rank import NONE, OVERLOOKED, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import IMITATED, NONE, OVERLOOKED, UNKNOWN, itself
 from eps_tunnel_analysis.diagnose.verdict import in_words, percent
 from eps_tunnel_analysis.outputs import shown_share, shown_unit, shown_value
 from eps_tunnel_analysis.phases import channel_of, mean_command
@@ -49,7 +49,8 @@ def verdict(diagnosis: Diagnosis) -> Section:
         Table(
             ("hypothesis", "probability", "in the stated set"),
             [(_said(name), Bar(p, f"{p:.1%}"), "yes" if name in v.stated else "") for name, p in shown],
-            caption=f"The stated set is the smallest that has {v.coverage:.0%} of the probability.",
+            caption=f"The stated set is the smallest that has {v.coverage:.0%} of the probability, each effect "
+            "with what behaves like it.",
         ),
         Table(
             ("model", "E (equation 10)", "on held-out data", "alike, k = 1", "the rig against itself"),
@@ -90,7 +91,8 @@ def verdict(diagnosis: Diagnosis) -> Section:
 
 def _said(name: str) -> str:
     words = {NONE: "nothing is missing", UNKNOWN: "something no known effect explains",
-             OVERLOOKED: "known effects that were not found"}  # fmt: skip
+             OVERLOOKED: "known effects that were not found",
+             IMITATED: "something else that behaves like what is named"}  # fmt: skip
     return words.get(name, name)
 
 
@@ -105,7 +107,8 @@ def ranking(diagnosis: Diagnosis) -> Section:
         rows: list[tuple[str, str, str | Bar, str, str]] = []
         for r in axis.ranking.ranked[:LISTED_CANDIDATES]:
             share, (low, high) = max(r.explained, 0.0), r.explained_interval
-            rows.append((r.name, percent(r.probability), Bar(share, f"{share:.0%} ({low:.0%} to {high:.0%})"),
+            sure = percent(itself(r.probability, len(r.effects)))
+            rows.append((r.name, sure, Bar(share, f"{share:.0%} ({low:.0%} to {high:.0%})"),
                          f"{r.cost:.2f}", f"{r.held_out:.2f}"))  # fmt: skip
         rows.append(("something unknown", percent(axis.ranking.unknown), "", "", ""))
         blocks.append(
