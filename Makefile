@@ -34,7 +34,7 @@ MESSAGES := $(wildcard src/labyrinth_msgs/*/*.msg src/labyrinth_msgs/*/*.srv src
 MANIFESTS := $(wildcard src/*/package.xml src/*/setup.py src/*/setup.cfg src/*/CMakeLists.txt src/*/launch/*.py) colcon.meta
 DATA := $(shell find src/*/config)
 
-.PHONY: help setup demo test lint format docs lock clean
+.PHONY: help setup demo test studies lint format docs lock clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -48,8 +48,11 @@ demo: setup ## find what an emulated rig hides: gap, where, why, add, gap again;
 # Three workers, for two cores: conftest.py gives one of them the tests that run against real time, which mostly wait.
 WORKERS := -n 3 --dist loadgroup --no-loadscope-reorder
 
-test: setup ## run every test; PYTEST='-k tunnel -x' passes options on
-	@$(RUN) python -m pytest $(WORKERS) $(PYTEST)
+test: setup ## run the tests, but for long studies; PYTEST='-k tunnel -x' passes options on
+	@$(RUN) python -m pytest $(WORKERS) -m 'not study' $(PYTEST)
+
+studies: setup ## run the long studies among the tests, too: whole diagnoses, loops and pages of the docs
+	@$(RUN) python -m pytest $(WORKERS) -m study $(PYTEST)
 
 lint: setup ## check style, formatting and types
 	@$(RUN) ruff check $(LINTED)

@@ -22,6 +22,7 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate
 
+STUDY = pytest.mark.study
 HIDDEN_MOMENT = 0.35 / 9.81  # kg m, of the strong load on the emulated rig, 0.35 N m
 
 
@@ -32,7 +33,7 @@ def loaded() -> tuple[Play, Addition]:
     return play, add_effects(wrong_model(), [play], ["gravity_load.x"], 1)
 
 
-@pytest.mark.parametrize("name", ["gravity_load.x", "sensor_bias.motor_x"])
+@pytest.mark.parametrize("name", ["gravity_load.x", pytest.param("sensor_bias.motor_x", marks=STUDY)])
 def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str, loaded: tuple[Play, Addition]) -> None:
     effect = name.partition(".")[0]
     play = loaded[0] if effect == "gravity_load" else as_play(recorded(f"{effect}=strong", seed=3))
@@ -76,7 +77,11 @@ def rubbing() -> tuple[Play, Diagnosis]:
 
 @pytest.mark.parametrize(
     ("name", "other"),
-    [("coulomb_friction", "viscous_friction"), ("dead_band", "backlash"), ("constant_torque", "return_spring")],
+    [
+        ("coulomb_friction", "viscous_friction"),
+        pytest.param("dead_band", "backlash", marks=STUDY),
+        pytest.param("constant_torque", "return_spring", marks=STUDY),
+    ],
 )
 def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_values(
     name: str, other: str, rubbing: tuple[Play, Diagnosis]

@@ -61,7 +61,11 @@ def diagnosed(effect: str, only: Sequence[str], seed: int) -> Diagnosis:
 
 
 @pytest.mark.parametrize(
-    ("start", "only"), [(model(), ON_BALL[:2]), (load_model("labyrinth_manual"), ON_BALL[:1])], ids=["told", "plain"]
+    ("start", "only"),
+    [
+        pytest.param(model(), ON_BALL[:2], marks=pytest.mark.study, id="told"),
+        pytest.param(load_model("labyrinth_manual"), ON_BALL[:1], id="plain"),
+    ],
 )
 def test_a_healthy_ball_is_given_no_name(start: Model, only: Sequence[str]) -> None:
     v = diagnose(start, [as_play(recorded(seed=51))], only=only).verdict
@@ -73,7 +77,7 @@ def test_a_healthy_ball_is_given_no_name(start: Model, only: Sequence[str]) -> N
     ("hidden", "only", "name", "value"),
     [
         ("camera_scale.both=strong", ("camera_scale",), "camera_scale.ball", 1.1),
-        ("board_not_level.x=strong", ON_BALL[:2], "board_not_level.x", 0.02),
+        pytest.param("board_not_level.x=strong", ON_BALL[:2], "board_not_level.x", 0.02, marks=pytest.mark.study),
     ],
 )
 def test_what_is_wrong_with_ball_or_camera_is_named(hidden: str, only: Sequence[str], name: str, value: float) -> None:
@@ -83,6 +87,7 @@ def test_what_is_wrong_with_ball_or_camera_is_named(hidden: str, only: Sequence[
     assert v.ball[2].held_out < 0.5 * v.ball[1].held_out
 
 
+@pytest.mark.study
 def test_without_effects_on_the_ball_to_consider_the_ball_changes_nothing() -> None:
     play = as_play(recorded(seed=53))
     one, other = (
@@ -102,6 +107,7 @@ def test_a_ball_that_was_not_seen_at_first_is_told() -> None:
     assert any("ball was not visible" in note for note in v.notes)
 
 
+@pytest.mark.study
 def test_the_commands_name_and_add_an_effect_on_the_ball(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", recorded("camera_latency", seed=54, command=SHORT), SHORT.name, SHORT.hash)
     reading = ["--real", str(bag), "--model", str(save_model(model(), tmp_path / "m.yaml"))]

@@ -64,6 +64,7 @@ def test_a_rig_as_it_was_has_not_changed(then: Play) -> None:
     assert result.paired == (1, 1)
 
 
+@pytest.mark.study
 def test_a_belt_that_slackens_is_more_backlash(then: Play) -> None:
     result = found(then, played(3, slack=np.radians(0.5)))
     assert (result.outcome, result.named) == ("changed", ("backlash.x",)), result.sentence
@@ -80,6 +81,7 @@ def test_friction_that_doubles_is_named_and_measured(then: Play) -> None:
     assert abs(now - was - FRICTION) < half < 0.3 * FRICTION
 
 
+@pytest.mark.study
 def test_a_belt_that_stretches_is_an_effect_that_was_not_there(then: Play) -> None:
     result = found(then, played(5, hide("belt_compliance", "x", values={"belt_stiffness": 10.0})))
     assert (result.outcome, result.named) == ("changed", ("belt_compliance.x",)), result.sentence

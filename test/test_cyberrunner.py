@@ -35,6 +35,7 @@ def test_the_tilt_is_read_at_the_cameras_own_stamps(recorded: Recorded) -> None:
     assert np.median(np.diff(trial.signals["motor_y"].time)) == pytest.approx(0.01, abs=1e-3)
 
 
+@pytest.mark.study
 def test_what_the_board_lacks_is_named(diagnosis: Diagnosis) -> None:
     assert diagnosis.verdict.effects == ("gravity_load.y",), diagnosis.verdict.sentence
     values = diagnosis.model.values()

@@ -61,6 +61,7 @@ def place(tmp_path: Path, domain: int) -> Iterator[Workplace]:
         yield place
 
 
+@pytest.mark.study
 def test_the_whole_loop_from_the_bus_to_the_named_effect(place: Workplace, tmp_path: Path) -> None:
     tilts: list[JointState] = []
     balls: list[BallState] = []

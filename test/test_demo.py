@@ -82,6 +82,7 @@ def trials(values: np.ndarray) -> Trials:
     return Trials(np.arange(values.shape[1]) * 0.01, ("motor_x",), ("rad",), values, (), none)
 
 
+@pytest.mark.study
 def test_the_demo_prints_the_table_and_the_path_of_the_report(finished: tuple[Path, str, str]) -> None:
     folder, printed, _ = finished
     page = next(line for line in printed.splitlines() if "report.html" in line and line.startswith("Done"))
@@ -94,6 +95,7 @@ def test_the_demo_prints_the_table_and_the_path_of_the_report(finished: tuple[Pa
         assert word in printed
 
 
+@pytest.mark.study
 def test_the_demo_names_what_it_hid_adds_it_and_the_error_falls(finished: tuple[Path, str, str]) -> None:
     folder, printed, _ = finished
     assert "Hidden in the testbed: gravity_load on x (strong). Right." in printed
@@ -109,6 +111,7 @@ def test_the_demo_names_what_it_hid_adds_it_and_the_error_falls(finished: tuple[
     assert "Simulates 'model_1' now" in (folder / "logs" / "sim_node.log").read_text()
 
 
+@pytest.mark.study
 def test_without_a_terminal_progress_is_a_line_for_each_phase(finished: tuple[Path, str, str]) -> None:
     _, _, told = finished
     assert "\r" not in told
@@ -117,6 +120,7 @@ def test_without_a_terminal_progress_is_a_line_for_each_phase(finished: tuple[Pa
     assert all(one != other for one, other in pairwise(lines))
 
 
+@pytest.mark.study
 def test_the_demo_leaves_one_whole_bag_per_side_with_the_trials_marked(finished: tuple[Path, str, str]) -> None:
     folder, _, _ = finished
     command = find_sequence(str(folder.parent / "short.yaml")).commands[0]
@@ -131,6 +135,7 @@ def test_the_demo_leaves_one_whole_bag_per_side_with_the_trials_marked(finished:
         assert {"motor_x", "motor_y", "board_x", "board_y"} <= set(recording.topics[f"/{side}/joint_states"].joints)
 
 
+@pytest.mark.study
 def test_the_report_holds_every_k_and_where_the_model_fails(finished: tuple[Path, str, str]) -> None:
     folder, _, _ = finished
     content = json.loads((folder / "gap_1" / "compare.json").read_text(encoding="utf-8"))

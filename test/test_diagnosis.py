@@ -74,6 +74,7 @@ def unbalanced() -> tuple[Play, Diagnosis]:
     return play, diagnose(wrong_model(), [play], only=FEW, nthread=1)
 
 
+@pytest.mark.study
 def test_a_rig_without_anything_wrong_is_called_complete() -> None:
     v = diagnose(wrong_model(), [as_play(recorded())], only=("gravity_load", "sensor_bias")).verdict
     assert (v.verdict, v.effects) == ("complete", ())
@@ -114,7 +115,7 @@ def test_trials_in_another_order_on_a_mirrored_axis_say_the_same(unbalanced: tup
         assert other.set.get(name, 0.0) == pytest.approx(p, abs=0.02)
 
 
-@pytest.mark.parametrize("name", ["sensor_bias", "sensor_delay"])
+@pytest.mark.parametrize("name", [pytest.param("sensor_bias", marks=pytest.mark.study), "sensor_delay"])
 def test_effects_on_motion_and_on_sensors_are_told_apart(name: str) -> None:
     play = as_play(recorded(f"{name}=strong", seed=7))
     v = diagnose(wrong_model(), [play], only=ON_SENSORS, experiments=False).verdict
@@ -131,6 +132,7 @@ def test_what_no_effect_describes_is_called_unknown(effect: str, only: tuple[str
     assert not any("assumed to be right" in note for note in v.notes)
 
 
+@pytest.mark.study
 def test_a_value_that_the_model_states_wrongly_is_doubted_where_no_effect_explains_what_is_left() -> None:
     weaker = wrong_model().with_values({"drive.x.torque": 0.25})
     v = diagnose(weaker, [as_play(recorded())], only=[]).verdict
@@ -138,6 +140,7 @@ def test_a_value_that_the_model_states_wrongly_is_doubted_where_no_effect_explai
     assert v.notes[0].startswith("drive.x.torque is assumed to be right, 0.25 N m (set by hand).")
 
 
+@pytest.mark.study
 def test_an_axis_that_is_turned_along_is_told_though_the_model_is_wrong_about_the_other_s_drive() -> None:
     model = wrong_model().with_values({"drive.y.p": 13.0, "drive.y.delay": 0.045})
     play = as_play(recorded("cross_coupling.x", text=BOTH), "xy", BOTH)
@@ -147,6 +150,7 @@ def test_an_axis_that_is_turned_along_is_told_though_the_model_is_wrong_about_th
     assert v.floor["x"][1] < allowed < v.floor["x"][0]
 
 
+@pytest.mark.study
 def test_each_axis_is_judged_among_others_whose_values_are_refitted() -> None:
     model, how = wrong_model(), SearchOptions(only=(), nthread=1)
     play = as_play(recorded(text=BOTH), "xy", BOTH)
@@ -204,6 +208,7 @@ def test_the_commands_write_what_they_promise(tmp_path: Path) -> None:
     assert main(["diagnose", *reading, "--out", str(tmp_path / "why")]) == 2  # never overwritten
 
 
+@pytest.mark.study
 def test_improve_stops_by_itself_and_each_effect_lowers_the_error(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", recorded("gravity_load"), "short", command().hash)
     few = ["--candidates", "gravity_load"]

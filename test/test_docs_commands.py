@@ -34,6 +34,7 @@ LONGEST, PATIENCE = 1500, 90  # s; only what hangs takes so long
 NODES = "## With nodes"
 pytestmark = pytest.mark.timeout(1800)  # a busy machine is slow, and a page is long
 HOWTO = sorted(f"docs/howto/{file.name}" for file in (ROOT / "docs" / "howto").glob("*.md"))
+COGGING = "docs/howto/cogging.md"
 # Pages whose commands work on one another's files, in this order.
 TOGETHER = ("docs/howto/bags_from_csv.md", "docs/howto/own_rig.md")
 
@@ -168,7 +169,9 @@ def environment_of(folder: Path, **changes: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    ("page", "end"), [("README.md", ""), ("docs/tutorial.md", NODES)], ids=["readme", "tutorial without nodes"]
+    ("page", "end"),
+    [("README.md", ""), pytest.param("docs/tutorial.md", NODES, marks=pytest.mark.study)],
+    ids=["readme", "tutorial without nodes"],
 )
 @pytest.mark.usefixtures("shorter")
 def test_every_command_of_a_page_works(page: str, end: str, tmp_path: Path) -> None:
@@ -202,6 +205,7 @@ def test_every_bag_that_the_tutorial_reads_was_made_by_a_command_before() -> Non
     assert len(set(read)) > 5
 
 
+@pytest.mark.study
 @pytest.mark.realtime
 def test_every_command_of_the_tutorial_with_nodes_works(tmp_path: Path, domain: int) -> None:
     # The model that the page made before.
@@ -215,6 +219,7 @@ def test_every_command_of_the_tutorial_with_nodes_works(tmp_path: Path, domain: 
             follower.follow(block)
 
 
+@pytest.mark.study
 def test_bags_from_tables_go_through_a_rig_of_ones_own(tmp_path: Path) -> None:
     with followed(tmp_path, environment_of(tmp_path)) as follower:
         for page in TOGETHER:
@@ -231,19 +236,19 @@ def shorten(file: Path, long: str, short: str) -> None:
     file.write_text(text.replace(long, short), encoding="utf-8")
 
 
-@pytest.mark.parametrize("page", [page for page in HOWTO if page not in TOGETHER])
+@pytest.mark.parametrize("page", [page for page in HOWTO if page not in (*TOGETHER, COGGING)])
 def test_every_command_of_a_how_to_page_works(page: str, tmp_path: Path) -> None:
     with followed(tmp_path, environment_of(tmp_path)) as follower:
         for block in blocks(page):
             follower.follow(block)
-    if page == "docs/howto/cogging.md":
-        the_law_holds_on_another_command(tmp_path)
 
 
-def the_law_holds_on_another_command(folder: Path) -> None:
-    """What the page's last comparison leaves, against the same model without the law."""
+@pytest.mark.study
+def test_the_law_of_the_how_to_page_holds_on_another_command(tmp_path: Path) -> None:
+    test_every_command_of_a_how_to_page_works(COGGING, tmp_path)
+    # What the page's last comparison leaves, against the same model without the law.
     line = "eps-tunnel compare --real study/other --model labyrinth --json"
-    told = (run(line, folder, environment_of(folder)), (folder / "gap-after" / "compare.json").read_text("utf-8"))
+    told = (run(line, tmp_path, environment_of(tmp_path)), (tmp_path / "gap-after" / "compare.json").read_text("utf-8"))
     without, after = (
         next(e for e in json.loads(text)["errors"] if e["signal"] == "board_x")["command_error"] for text in told
     )

@@ -109,6 +109,7 @@ def notebook(folder: Path) -> str:
     return text
 
 
+@pytest.mark.study
 def test_a_hidden_effect_is_added_and_the_loop_ends_at_the_noise(tmp_path: Path) -> None:
     rig = OfflineRig("gravity_load.x=medium")
     ending = ended(rig, tmp_path)
@@ -127,6 +128,7 @@ def test_a_hidden_effect_is_added_and_the_loop_ends_at_the_noise(tmp_path: Path)
     assert json.loads((tmp_path / "staircase.json").read_text())["verdict"] == "complete"
 
 
+@pytest.mark.study
 def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_law_that_another_command_confirms(
     tmp_path: Path,
 ) -> None:
@@ -144,6 +146,7 @@ def test_what_no_effect_describes_ends_the_loop_as_unknown_with_a_law_that_anoth
     assert (Path(content["proposed_in"]) / "proposed_effect.py").exists()
 
 
+@pytest.mark.study
 def test_trials_that_came_at_uneven_times_are_played_once_more_before_anything_is_called_unknown(
     tmp_path: Path,
 ) -> None:
@@ -162,6 +165,7 @@ def test_trials_that_came_at_uneven_times_are_played_once_more_before_anything_i
     assert len(json.loads((tmp_path / "diagnosis_2" / "diagnosis.json").read_text())["sources"]) == 1
 
 
+@pytest.mark.study
 def test_a_rig_that_is_always_uneven_is_unknown(tmp_path: Path) -> None:
     rig = OfflineRig("irregular_commands.x=strong")
     assert ended(rig, tmp_path, FEW[:1]).verdict == "unknown"
@@ -175,6 +179,7 @@ def test_uneven_timing_that_is_known_of_a_rig_is_told_and_not_held_against_it(tm
     assert "early or late" in notebook(tmp_path)
 
 
+@pytest.mark.study
 def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_path: Path) -> None:
     rig = OfflineRig("gravity_load.x=weak")
     ending = ended(rig, tmp_path, sequence=ONE_ANGLE, most_steps=0)

@@ -11,13 +11,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from frozen_studies import FILES, FROZEN, Laboratory, Tolerance, differences, flat, frozen, same
 
+LONG = ("late_horn_diagnose", "unbalanced_labyrinth_diagnose")
+
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Laboratory]:
     return Laboratory(tmp_path_factory.mktemp("studies"))
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.study] * (name in LONG)) for name in FILES])
 def test_the_result_is_the_frozen_one(laboratory: Laboratory, name: str) -> None:
     lines = differences(name, frozen(name), laboratory.result(name))
     if lines:

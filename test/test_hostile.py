@@ -41,11 +41,13 @@ def counts(tmp_path_factory: pytest.TempPathFactory) -> dict:
     return json.loads(out.read_text(encoding="utf-8"))
 
 
+@pytest.mark.study
 def test_damaged_files_and_options_are_read_or_refused(counts: dict) -> None:
     assert counts["failures"] == []
     assert counts["refused"] + counts["handled"] == counts["tries"] == TRIES
 
 
+@pytest.mark.study
 def test_the_attacks_reach_behind_the_first_check(counts: dict) -> None:
     assert counts["refused"] > TRIES / 4 and counts["handled"] > TRIES / 10
 

@@ -32,6 +32,7 @@ def started(folder: Path, *options: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.study
 def test_the_loop_adds_what_the_rig_hides_and_writes_its_notebook(tmp_path: Path) -> None:
     process = started(tmp_path, "--json")
     try:

@@ -22,7 +22,7 @@ from eps_tunnel_analysis.recording.decode import read
 from eps_tunnel_analysis.recording.trials import read_trials
 from labyrinth_msgs.action import PlaySequence
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.study]
 RIGS = {"rig1": "labyrinth_manual", "rig2": "labyrinth_es_x"}
 SEQUENCE = """
 description: A step.

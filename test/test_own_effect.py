@@ -55,6 +55,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp("own") / "bag", run, "short", command.hash)
 
 
+@pytest.mark.study
 def test_an_effect_of_ones_own_goes_from_the_diagnosis_to_the_comparison(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

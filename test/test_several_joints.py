@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks" / "sections"))
@@ -22,6 +23,7 @@ from labyrinth_sim.build import COUPLED, coupled_axes
 from labyrinth_sim.model import load_model
 
 
+@pytest.mark.study
 def test_friction_in_one_joint_of_an_arm_is_named(tmp_path: Path) -> None:
     """Three joints; six take minutes, which the benchmark takes."""
     model = arm(tmp_path, 3)
@@ -42,6 +44,7 @@ def test_many_axes_that_shake_one_another_are_judged_apart_unless_an_effect_betw
     assert all_of_them.axes == ("a0", "a1", "a2", "a3")
 
 
+@pytest.mark.study
 def test_a_joint_is_judged_while_the_others_move_as_they_were_measured(tmp_path: Path) -> None:
     """The friction of one joint shakes the others, which lack nothing and must not be told to."""
     model = arm(tmp_path, 4)

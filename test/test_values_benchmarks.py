@@ -42,6 +42,7 @@ def written(monkeypatch: pytest.MonkeyPatch, program: Any, folder: Path, *more: 
     return content
 
 
+@pytest.mark.study
 def test_transfer_ranks_models_by_a_recording_that_was_not_fitted(monkeypatch, tmp_path: Path) -> None:
     content = written(monkeypatch, transfer, tmp_path, "--svg", str(tmp_path / "out.svg"))
     for name in FIGURES:
@@ -103,6 +104,7 @@ def test_spearman_is_that_of_scipy_and_its_interval_holds_it() -> None:
     assert np.isnan(ranked(np.ones((1, 4)), np.arange(4.0)[None])[0])
 
 
+@pytest.mark.study
 def test_values_counts_intervals_repeats_and_designed_plays(monkeypatch, tmp_path: Path) -> None:
     content = written(monkeypatch, values, tmp_path, "--workers", "1")
     for key in ("interval_coverage", "interval_coverage_missing", "repeat_agreement"):

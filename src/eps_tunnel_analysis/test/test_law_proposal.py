@@ -102,6 +102,7 @@ def hang(spec: mujoco.MjSpec, site: Site) -> None:
     body.add_joint(name="swings", axis=joint.axis, pos=joint.pos, stiffness=stiffness, damping=damping)
 
 
+@pytest.mark.study
 def test_a_mass_that_swings_on_the_joint_is_found_with_its_frequency_and_inertia(model: Model) -> None:
     swings = replace(WAVES, name="hidden_mass", step=None, spec=hang)
     hidden = model.with_effect(swings, "pendulum")

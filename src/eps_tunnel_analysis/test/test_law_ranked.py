@@ -55,6 +55,7 @@ TWO = Effect(
 )  # fmt: skip
 
 
+@pytest.mark.study
 def test_sets_of_one_and_more_terms_are_refitted_and_the_best_is_ranked_beside_known_effects() -> None:
     model = load_model("pendulum")
     plays = [played(model.with_effect(TWO, "pendulum"), sines(), 1)]

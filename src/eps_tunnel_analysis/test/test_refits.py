@@ -551,6 +551,7 @@ def test_a_drives_value_is_mistaken_for_no_effect(search: Search) -> None:
     assert rival_refits(search, refit(search, (value.name,), 1.0), []) == []
 
 
+@pytest.mark.study
 def test_a_tick_is_found_beside_an_effect_whose_own_fit_hides_it() -> None:
     levels = np.radians(np.random.default_rng(2).uniform(-10.0, 10.0, 8))
     targets = np.repeat(np.append(0.0, levels[1:]), 40)
