@@ -60,12 +60,11 @@ def diagnosed(effect: str, only: Sequence[str], seed: int) -> Diagnosis:
     return diagnose(model(), [play], only=only, experiments=False)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("start", "only"),
-    [
-        pytest.param(model(), ON_BALL[:2], marks=pytest.mark.study, id="told"),
-        pytest.param(load_model("labyrinth_manual"), ON_BALL[:1], id="plain"),
-    ],
+    [(model(), ON_BALL[:2]), (load_model("labyrinth_manual"), ON_BALL[:1])],
+    ids=["told", "plain"],
 )
 def test_a_healthy_ball_is_given_no_name(start: Model, only: Sequence[str]) -> None:
     v = diagnose(start, [as_play(recorded(seed=51))], only=only).verdict

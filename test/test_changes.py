@@ -90,6 +90,7 @@ def test_a_belt_that_stretches_is_an_effect_that_was_not_there(then: Play) -> No
     assert 0.4 < now / (1 / 10 - 1 / 100) < 1.2  # a healthy belt has 100 N m/rad; the model's damps otherwise
 
 
+@pytest.mark.study
 def test_a_potentiometer_that_slipped_is_told_from_a_load_and_followed_over_dates(then: Play) -> None:
     slipped = played(6, hide("sensor_bias", "board_x", values={"pot_bias": 0.008}))
     result = found(then, slipped)

@@ -41,6 +41,7 @@ def test_a_change_is_right_undecided_or_wrong_and_nothing_counts_half() -> None:
     assert 0.0 < low < 2 / 6 < high < 1.0
 
 
+@pytest.mark.study
 def test_each_kind_can_be_named_and_shows_in_what_is_recorded() -> None:
     model = as_then()
     known = {c.name for c in library(model, ()).candidates} | {f"{u.effect.name}.{u.place}" for u in model.effects}

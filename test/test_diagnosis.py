@@ -115,7 +115,8 @@ def test_trials_in_another_order_on_a_mirrored_axis_say_the_same(unbalanced: tup
         assert other.set.get(name, 0.0) == pytest.approx(p, abs=0.02)
 
 
-@pytest.mark.parametrize("name", [pytest.param("sensor_bias", marks=pytest.mark.study), "sensor_delay"])
+@pytest.mark.study
+@pytest.mark.parametrize("name", ["sensor_bias", "sensor_delay"])
 def test_effects_on_motion_and_on_sensors_are_told_apart(name: str) -> None:
     play = as_play(recorded(f"{name}=strong", seed=7))
     v = diagnose(wrong_model(), [play], only=ON_SENSORS, experiments=False).verdict
@@ -229,7 +230,9 @@ def test_a_command_that_excites_nothing_is_told() -> None:
         diagnose(wrong_model(), [Play("still", still)])
 
 
-@pytest.mark.parametrize(("effects", "named"), [((), ()), (("gravity_load",), ("gravity_load.x",))])
+@pytest.mark.parametrize(
+    ("effects", "named"), [((), ()), pytest.param(("gravity_load",), ("gravity_load.x",), marks=pytest.mark.study)]
+)
 def test_one_trial_is_diagnosed_with_a_warning(effects: tuple[str, ...], named: tuple[str, ...]) -> None:
     play = as_play(recorded(*effects))
     single = replace(play.trials, values=play.trials.values[:1], commands=play.trials.commands[:1])

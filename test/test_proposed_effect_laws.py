@@ -24,6 +24,7 @@ SIZE = 0.2  # of the drive's torque, root mean square, that each term adds
 OFF = 0.01  # rad, root mean square, that each term of a sensor adds
 FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck", "viscous", "drag", "uneven",
           "trailing", "creeping", "swinging", "load", "tight", "fading", "warming", "coupling", "rubbing")  # fmt: skip
+BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "tight", "coupling", "rubbing")  # others are in TOGETHER
 SENSORS = ("offset", "scale", "bend", "wave", "late")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",
             "uneven + drag", "-viscous + drag", "-friction + load", "swinging + trailing + swinging")  # fmt: skip
@@ -76,8 +77,15 @@ def proposed(kind, names):
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-@pytest.mark.parametrize("names", FORCES + TOGETHER)
+@pytest.mark.parametrize("names", BY_THEMSELVES + TOGETHER)
 def test_a_force(names, law, scenes, without):
+    law(proposed("force", names), scenes, without)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+@pytest.mark.parametrize("names", [name for name in FORCES if name not in BY_THEMSELVES])
+def test_a_force_that_is_also_tried_with_others(names, law, scenes, without):
     law(proposed("force", names), scenes, without)
 
 
@@ -92,3 +100,5 @@ def test_every_term_is_tried():
     design = SimpleNamespace(plays=[SimpleNamespace(motion=motion)])
     assert [t.name for t in dictionary(design)] == list(FORCES)
     assert [t.name for t in sensor_dictionary(design)] == list(SENSORS)
+    often = {part.removeprefix("-") for names in BY_THEMSELVES + TOGETHER for part in names.split(" + ")}
+    assert often == set(FORCES), "without the long studies, too"

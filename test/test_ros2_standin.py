@@ -491,6 +491,7 @@ def test_our_launch_files_show_their_arguments() -> None:
         assert (code, f"    '{name}':\n" in out) == (0, True)
 
 
+@pytest.mark.study
 @pytest.mark.realtime  # the emulated rig and what drives it end at the same time
 def test_our_launch_files_bring_up_a_rig_and_its_simulation(tmp_path: Path) -> None:
     # The study includes the three other files.

@@ -133,6 +133,7 @@ def test_another_command_confirms_what_is_proposed_or_not(proposal: Proposal, mo
     assert not Confirmation(0.5, 0.4).holds  # nothing is left to explain there
 
 
+@pytest.mark.study
 def test_a_law_that_runs_away_where_the_recordings_did_not_go_is_none(
     model: Model, proposal: Proposal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,6 +249,7 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     assert _as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read).first == read
 
 
+@pytest.mark.study
 def test_each_term_of_a_file_is_the_force_that_its_column_says(missing: MissingForce, model: Model) -> None:
     """A model with a term against the same force added over time. Friction sticks as no such force does."""
     play = played(model, 4)

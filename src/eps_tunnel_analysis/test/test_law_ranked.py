@@ -88,6 +88,7 @@ def alone(axis: str, rate: float) -> np.ndarray:
     return command
 
 
+@pytest.mark.study
 def test_between_a_force_and_the_error_of_a_sensor_roll_outs_decide(
     labyrinth: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,6 +136,7 @@ def test_a_force_behind_a_belt_is_found_on_the_load_and_on_every_axis_that_lacks
     assert [m["side"] for m in told.to_json()["also"]] == ["load", "motor", "load"]
 
 
+@pytest.mark.study
 def test_the_force_that_a_sticking_joint_lacks_closes_the_gap(sticking: Model) -> None:
     """Where a joint sticks, a force that follows from slopes may be far too large, and the next one larger still."""
     more = sticking.with_effect("stribeck_friction", "x", {"extra": 0.3})

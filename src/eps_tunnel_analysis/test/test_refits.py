@@ -498,6 +498,7 @@ def test_the_linear_response_to_a_rounded_command_is_nearly_what_a_roll_out_show
         assert np.sqrt(np.mean((linear - change) ** 2)) < 0.3 * np.sqrt(np.mean(change**2))
 
 
+@pytest.mark.study
 def test_a_tick_of_which_a_command_spans_many_is_found_where_other_starts_miss_it() -> None:
     levels = np.radians(np.random.default_rng(0).uniform(-10.0, 10.0, 20))
     targets = np.repeat(np.append(0.0, levels[1:]), 20)

@@ -14,7 +14,8 @@ from labyrinth_sim.trials import Trials
 STEP, NOISE, SLOW = 0.01, 2e-4, "coulomb_friction.pendulum.slow"
 
 
-@pytest.mark.parametrize("slow", [0.0, pytest.param(2e-3, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("slow", [0.0, 2e-3])
 def test_how_gradually_the_models_friction_sets_in_is_refitted_where_it_shows(slow: float) -> None:
     model = load_model("pendulum")
     time = np.arange(501) * STEP

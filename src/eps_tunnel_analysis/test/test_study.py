@@ -118,6 +118,7 @@ def test_effects_of_ones_own_are_candidates(folder: Path, tmp_path: Path) -> Non
     assert {one.name for one in own.check().excited if one.kind == "effect"} == {"dry_rubbing.a"}
 
 
+@pytest.mark.study
 def test_the_reason_brings_a_better_model(study: Any, why: Any, tmp_path: Path) -> None:
     assert why.verdict.effects == ("coulomb_friction.a",)
     better = study.with_model(why.model).compare()

@@ -48,6 +48,7 @@ def rests(hardware: Hardware, goals: list[float], axis: int) -> float:
     return rest(hardware, at, axis, 0.4, 20)
 
 
+@pytest.mark.study
 @pytest.mark.realtime
 def test_calibration_finds_the_flaws_and_compensation_removes_them(flawed: None) -> None:
     hardware = Hardware(load_hardware("healthy"))

@@ -78,6 +78,7 @@ def crossing_heights(position: np.ndarray, layout: Layout) -> np.ndarray:
     return np.concatenate(heights)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_ball_never_tunnels_in_ten_minutes_of_violent_tilting(name: str) -> None:
     """Ten on all layouts together, full torque, thrown about every 10 to 150 ms.
