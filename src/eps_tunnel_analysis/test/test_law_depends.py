@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
-from eps_tunnel_analysis.law.depends import Depends, depends, traced
+from eps_tunnel_analysis.law.depends import Depends, by_chance, depends, traced
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.missing_force import MissingForce, PlayAnswer
 from labyrinth_sim.trials import Array
@@ -99,6 +99,19 @@ def test_a_product_of_two_variables_is_named_as_a_pair() -> None:
     assert found.first.share > max(d.share for d in found.dependences if not d.pair) + 0.1
     drag = said(SWINGS, -0.1 * speed * np.abs(speed))
     assert drag.first is not None and not drag.first.pair and drag.words == "speed"
+
+
+def test_a_way_that_explains_much_by_chance_hides_no_other() -> None:
+    rng = np.random.default_rng(0)
+
+    def moved(draws: int) -> Array:
+        """Shares by chance of ten ways, the first of which explains much of any slow misfit."""
+        return np.column_stack([rng.normal(0.6, 0.05, draws), rng.normal(0.02, 0.03, (draws, 9))])
+
+    levels = np.array([by_chance(moved(39)) for _ in range(200)])
+    assert np.all(levels[:, 0] > 0.6) and np.all(levels[:, 1:] < 0.4), "each has a level of its own"
+    exceeded = np.mean([np.mean(np.any(moved(50) > level, axis=1)) for level in levels])
+    assert 0.03 < exceeded < 0.07, "by chance any of them exceeds its own in one of twenty"
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -237,7 +237,7 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
         return Dependence(variable, curve, "a", share, (0.0, 1.0), 0.1, named)
 
     speed, load = dependence("speed", "curve_speed", 0.7), dependence("load, as friction", "curve_load_friction", 0.72)
-    found = Depends((load, speed), 0.1, speed, (load,))
+    found = Depends((load, speed), speed, (load,))
     chosen = Formula((Chosen(terms["load"], {"share": 0.1}), Chosen(terms["drag"], {"size": 0.1})), 0.8, (0.7, 0.9))
     assert _as_proposed(found, chosen, speed).first == load and _as_proposed(found, chosen, speed).ties == (speed,)
     chance = replace(found, dependences=(replace(load, named=False), speed))

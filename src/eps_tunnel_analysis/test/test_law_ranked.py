@@ -130,7 +130,7 @@ def test_a_force_behind_a_belt_is_found_on_the_load_and_on_every_axis_that_lacks
     also = also_missing(labyrinth, plays, PARTS, "x", {"x": behind.worst, "y": 9.0}, nthread=1)
     assert [(m.axis, m.side) for m in also] == [("x", "load"), ("y", "motor"), ("y", "load")]
     nothing = Formula((), 0.0, (0.0, 0.0))
-    told = Proposal("x", "x", behind, Depends((), 0.0), nothing, also=also, offsets=(missing_offset(behind, 1),))
+    told = Proposal("x", "x", behind, Depends(()), nothing, also=also, offsets=(missing_offset(behind, 1),))
     page = render("title", "subtitle", [law(told)])
     assert "force on axis y, load&#39;s side" in page and "offset of board_x, if it alone were wrong" in page
     assert [m["side"] for m in told.to_json()["also"]] == ["load", "motor", "load"]

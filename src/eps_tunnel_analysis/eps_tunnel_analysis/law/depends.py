@@ -27,6 +27,7 @@ COARSE = 5  # knots of a pair's surface over each of its variables
 MOST_A_TURN = 60  # waves
 FREQUENCIES = np.geomspace(2.0, 120.0, 41)  # rad/s, of a mass that may swing; a third for the level of chance
 DAMPED = 0.05  # damping ratio with which it is looked for
+MOSTLY = 0.8  # of the draws, in which a way that is moved in time explains no more than it mostly does
 NEAR_WHOLE = 0.03  # of the waves a turn, by which they may miss a whole number; of ten where there are more
 NO_MORE = 0.05  # of the misfit: a smaller gain in the share explained is not significant
 SWING = "swing"
@@ -245,12 +246,14 @@ def _turned(design: Design, constant: Variable, rng: np.random.Generator) -> lis
 def pairs(every: Sequence[Variable], shares: Sequence[float]) -> list[Variable]:
     """Surfaces over two variables, of those forces that explain most by themselves.
 
+    None is over the time: at each time a motion has one angle and one speed, so such a surface follows whatever varies.
+
     Args:
         shares: that each of the variables explains.
     """
     best: list[Variable] = []
     for _, i in sorted((-share, i) for i, share in enumerate(shares)):
-        if every[i].signal is None and every[i].quantity not in [v.quantity for v in best]:
+        if every[i].signal is None and every[i].quantity not in ["time", *(v.quantity for v in best)]:
             best.append(every[i])
     best = best[:TRIED_IN_PAIRS]
     return [_pair(a, b) for i, a in enumerate(best) for b in best[i + 1 :]]
@@ -288,7 +291,7 @@ class Dependence:
     Attributes:
         variable: for people; `curve`, `place`: the corresponding free curve.
         share: of the misfit, on stretches left out of the fit; with `interval`, 90 %.
-        chance: the largest share that any variable, moved in time, explained in all but `law_level` of the trials.
+        chance: share of its own that chance explains; see `by_chance`.
         named: whether it explains more than chance does, and enough to be worth reporting.
         period: rad of the waves over the angle that explain it better than a smooth function, else None.
         traced: what turns with that period, as the rig file states ratios; "" if nothing does.
@@ -332,15 +335,19 @@ class Depends:
 
     Attributes:
         dependences: what explains most first.
-        chance: share that any of them, moved in time, explains.
         first: what is named; None if nothing explains more than chance.
         ties: what explains as much as that in these recordings, at the 5 % level.
     """
 
     dependences: tuple[Dependence, ...]
-    chance: float
     first: Dependence | None = None
     ties: tuple[Dependence, ...] = ()
+
+    @property
+    def chance(self) -> float:
+        """Share that chance explains of what is named, or of what explains most."""
+        most = self.first or next(iter(self.dependences), None)
+        return most.chance if most else 0.0
 
     @property
     def words(self) -> str:
@@ -372,7 +379,7 @@ def depends(
     best = beyond.first
     if best and (best.acts == first.acts or best.share * (1.0 - first.share) > first.share):
         return beyond
-    return Depends((first, *beyond.dependences), first.chance, first)
+    return Depends((first, *beyond.dependences), first)
 
 
 def constant(
@@ -397,27 +404,33 @@ def varying(
     """What a missing force depends on besides what is always there."""
     design = judge.design
     every = variables(design, positions)
-    drawn = [list(_shifts(design, rng)) for _ in range(SURROGATES)]
-    shaped = [*(sines(design, float(p)) for p in periods(design)[::3]),
-              *(swung(design, float(w)) for w in FREQUENCIES[::3])]  # fmt: skip
-    by_chance = [_by_chance(judge, every, shaped, moved) for moved in drawn]
-    chance = float(np.quantile(by_chance, 1.0 - SETTINGS.law_level))
+    swinging = [swung(design, float(w)) for w in FREQUENCIES[::3]]
+    waving = [sines(design, float(p)) for p in periods(design)[::3]]
+    moved = [_moved(judge, every, (waving, swinging), list(_shifts(design, rng))) for _ in range(SURROGATES)]
+    *chances, of_pairs, of_waves, of_swings = by_chance(np.array(moved))
     explained: list[tuple[Dependence, Explained]] = []
     singly = [judge.explained(v.rows, v.signal, curve=True) for v in every]
     both = pairs(every, [e.share for e in singly])
     alone = len(every)
     explains = [*singly, *(judge.explained(v.rows) for v in both)]
-    for i, (variable, e) in enumerate(zip([*every, *both], explains, strict=True)):
+    chances += [of_pairs] * len(both)
+    for i, (variable, e, chance) in enumerate(zip([*every, *both], explains, chances, strict=True)):
         known = e.share, e.interval(seed), chance, _matters(e, chance)
         explained.append((Dependence(variable.name, variable.curve, variable.place, *known, pair=i >= alone), e))
-    explained += waves(judge, positions, chance, seed, ratios)
-    explained.append(swings(judge, chance, seed))
+    # Waves of a sensor have not been moved: chance may do as much as with any curve of it, or waves of a force.
+    waving_by_chance: dict[int | None, float] = {None: of_waves}
+    waving_by_chance |= {
+        v.signal: max(of_waves, c) for v, c in zip(every, chances, strict=False) if v.signal is not None
+    }
+    explained += waves(judge, positions, waving_by_chance, seed, ratios)
+    explained.append(swings(judge, of_swings, seed))
     explained.sort(key=lambda pair: -pair[0].share)
     ordered = tuple(d for d, _ in explained)
-    best = explained[0][1]
-    near = [d for d, e in explained if d.named and (e.share > best.share - NO_MORE or not _better(best, e, seed))]
-    if not near:
-        return Depends(ordered, chance)
+    beyond_chance = [(d, e) for d, e in explained if d.named]
+    if not beyond_chance:
+        return Depends(ordered)
+    best = beyond_chance[0][1]
+    near = [d for d, e in beyond_chance if e.share > best.share - NO_MORE or not _better(best, e, seed)]
     # Waves and swings have a value more to be fitted, so a smooth curve that explains as much is likelier.
     smooth = [d for d in near if not (d.period or d.frequency)]
     first = min(smooth or near, key=_plain)
@@ -426,7 +439,7 @@ def varying(
     same = {first.variable, *(("direction", "speed") if over_speed else ())}
     friction = FRICTION if over_speed else ()
     ties = [d for d in near if d.acts != first.acts or (d.variable not in same and d.curve not in friction)]
-    return Depends(ordered, chance, first, tuple(d for d in ties if not d.pair or first.pair))
+    return Depends(ordered, first, tuple(d for d in ties if not d.pair or first.pair))
 
 
 def _plain(d: Dependence) -> tuple[bool, int, bool]:
@@ -434,17 +447,38 @@ def _plain(d: Dependence) -> tuple[bool, int, bool]:
     return d.pair, PLAIN.index(d.curve), d.variable in ("speed", "command")
 
 
-def _by_chance(judge: Judge, every: Sequence[Variable], shaped: Sequence[Rows], moved: Sequence[float]) -> float:
-    """The largest share that any variable, or any shaped force (waves, swings), explains once moved in time."""
+def _moved(
+    judge: Judge, every: Sequence[Variable], shaped: Sequence[Sequence[Rows]], moved: Sequence[float]
+) -> list[float]:
+    """Share that each variable explains once moved in time, and the most of any pair, of any waves, of any swing."""
     forces = [v for v in every if v.signal is None]
-    acting = [*(v.rows for v in forces), *shaped]
+    acting = [*(v.rows for v in forces), *(rows for group in shaped for rows in group)]
     columns = judge.design.columns([np.hstack(rows) for rows in zip(*acting, strict=True)], None, moved)
     blocks = np.split(columns, np.cumsum([rows[0].shape[1] for rows in acting])[:-1], axis=1)
     shares = [judge.forces.explained(block, curve=True).share for block in blocks[: len(forces)]]
     surfaces = [judge.explained(v.rows, None, moved).share for v in pairs(forces, shares)]
-    shares += [judge.explained(v.rows, v.signal, moved, curve=True).share for v in every if v.signal is not None]
-    shares += [judge.forces.explained(block).share for block in blocks[len(forces) :]]
-    return max([*shares, *surfaces])
+    others = [judge.forces.explained(block).share for block in blocks[len(forces) :]]
+    known = iter(shares)
+    each = [next(known) if v.signal is None else judge.explained(v.rows, v.signal, moved, curve=True).share
+            for v in every]  # fmt: skip
+    waving = len(shaped[0])
+    return [*each, max(surfaces, default=0.0), max(others[:waving]), max(others[waving:])]
+
+
+def by_chance(shares: Array) -> list[float]:
+    """(V,) share of each of V ways that none exceeds by chance in all but `law_level` of the draws.
+
+    Some ways, such as a slow error of a sensor, explain much of any slow misfit. So the factor by which each lowers the
+    misfit is counted from what it mostly does once it is moved in time, and the largest of all ways in a draw decides,
+    as in Westfall, Young: Resampling-based multiple testing, 1993, section 2.5.
+
+    Args:
+        shares: (draws, V) that each explains once it is moved in time.
+    """
+    falls = -np.log1p(-np.clip(shares, 0.0, 1.0 - 1e-12))  # what predicts worse than nothing says no more than nothing
+    mostly = np.quantile(falls, MOSTLY, axis=0)
+    most = float(np.quantile((falls - mostly).max(axis=1), 1.0 - SETTINGS.law_level, method="higher"))
+    return [float(c) for c in -np.expm1(-(mostly + most))]
 
 
 def _better(one: Explained, other: Explained, seed: int) -> bool:
@@ -479,9 +513,13 @@ def periods(design: Design) -> Array:
 
 
 def waves(
-    judge: Judge, positions: Sequence[str], chance: float, seed: int, ratios: Mapping[str, float]
+    judge: Judge, positions: Sequence[str], chances: Mapping[int | None, float], seed: int, ratios: Mapping[str, float]
 ) -> list[tuple[Dependence, Explained]]:
-    """Waves over the angle, of a force and of each sensor, by the period that explains most."""
+    """Waves over the angle, of a force and of each sensor, by the period that explains most.
+
+    Args:
+        chances: number of a sensor, None for a force -> share that chance explains.
+    """
     design, missing, tried = judge.design, judge.design.missing, periods(judge.design)
     ways: list[tuple[str, str, str, int | None]] = [("angle", "curve_angle", missing.axis, None)]
     ways += [("angle, as a sensor's error", "curve_sensor", missing.signals[i], i) for i in sensors(design, positions)]
@@ -495,7 +533,7 @@ def waves(
             return explained(period).share
 
         best = refined(share, tried, int(np.argmax([share(float(p)) for p in tried])))
-        e = explained(best)
+        e, chance = explained(best), chances[signal]
         known = e.share, e.interval(seed), chance, _matters(e, chance)
         dependences.append((Dependence(name, which, place, *known, best, traced(best, ratios)), e))
     return dependences

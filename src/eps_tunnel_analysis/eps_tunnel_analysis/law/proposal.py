@@ -296,7 +296,7 @@ def propose(
     missing = missing_force(model, plays, part, nthread)
     nothing = Formula((), 0.0, (0.0, 0.0))
     if missing.worst <= SETTINGS.healthy:
-        return Proposal(part.name, part.name, missing, Depends((), 0.0), nothing)
+        return Proposal(part.name, part.name, missing, Depends(()), nothing)
     design = Design.of(missing)
     positions = [signal for signal in model.rig.positions if signal in part.signals]
     dependence = depends(design, positions, seed, ratios(model.rig, part.name))
