@@ -33,19 +33,21 @@ def law(proposal: Proposal) -> Section:
     curve."""
     missing, depends = proposal.missing, proposal.depends
     rows = [
-        (d.variable if d.place == proposal.axis else f"{d.variable} {d.place}",
+        (d.variable if d.acts == (proposal.axis, False) else f"{d.variable} {d.place}",
          shown_value(d.period, proposal.position_unit, 4) + (f", {d.traced}" if d.traced else "") if d.period else "",
          Bar(max(d.share, 0.0), f"{max(d.share, 0.0):.0%} ({max(d.interval[0], 0.0):.0%} to {d.interval[1]:.0%})"),
+         f"{max(d.chance, 0.0):.0%}",
          "yes" if d.named else "")
         for d in depends.dependences[:VARIABLES_LISTED]
     ]  # fmt: skip
     blocks: list[Block] = [
         Text(proposal.sentence),
         Table(
-            ("variable", "period", "predicts", "more than chance"),
+            ("variable", "period", "predicts", "chance", "more than chance"),
             rows,
-            caption="Predicts: share of the misfit in held-out stretches of time, with a 90 % interval. By "
-            f"chance, variables that were shifted in time predict up to {max(depends.chance, 0.0):.0%}.",
+            numeric=(3,),
+            caption="Predicts: share of the misfit in held-out stretches of time, with a 90 % interval. Chance: what the "
+            "same variable predicts shifted in time.",
         ),
     ]
     blocks += [*_forces(missing, proposal.position_unit), *_trials(proposal)]
