@@ -46,8 +46,8 @@ def law(proposal: Proposal) -> Section:
             ("variable", "period", "predicts", "chance", "more than chance"),
             rows,
             numeric=(3,),
-            caption="Predicts: share of the misfit in held-out stretches of time, with a 90 % interval. Chance: what the "
-            "same variable predicts shifted in time.",
+            caption="Predicts: share of the misfit in held-out stretches of time, with a 90 % interval. Chance: what "
+            "the same variable predicts shifted in time.",
         ),
     ]
     blocks += [*_forces(missing, proposal.position_unit), *_trials(proposal)]
