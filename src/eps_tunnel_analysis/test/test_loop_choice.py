@@ -10,7 +10,7 @@ import pytest
 from small_recordings import record, write_rig
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN
+from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, itself, with_imitated
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Errors, Verdict, decide
 from eps_tunnel_analysis.error import mean_error
 from eps_tunnel_analysis.loop.experimenter import chosen_effects
@@ -27,11 +27,11 @@ def verdict(probabilities: Mapping[str, float]) -> Verdict:
     found = {NONE: 0.0, UNKNOWN: 0.0, **probabilities}
     kind, effects, stated = decide(found, 0.9)
     names = {effect for name in probabilities for effect in name.split(" + ") if name not in (NONE, UNKNOWN)}
-    marginals = {n: sum(p for name, p in probabilities.items() if n in name.split(" + ")) for n in names}
+    marginals = {n: itself(sum(p for name, p in probabilities.items() if n in name.split(" + ")), 1) for n in names}
     axis = AxisVerdict(marginals, found[NONE], found[UNKNOWN], {}, {}, (9.0, 1.0), (), ())
     nothing = Errors(0.0, 0.0, 0.0)
     return Verdict(
-        kind, effects, found, stated, 0.9, "", (), nothing, nothing, nothing, {"x": axis}, {}, 0, 0, 0.0
+        kind, effects, with_imitated(found), stated, 0.9, "", (), nothing, nothing, nothing, {"x": axis}, {}, 0, 0, 0.0
     )  # fmt: skip
 
 
