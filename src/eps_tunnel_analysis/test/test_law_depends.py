@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
-from eps_tunnel_analysis.law.depends import Depends, by_chance, depends, traced
-from eps_tunnel_analysis.law.design import Design
+from eps_tunnel_analysis.law.depends import Depends, better, by_chance, depends, traced
+from eps_tunnel_analysis.law.design import Design, Explained
 from eps_tunnel_analysis.law.missing_force import MissingForce, PlayAnswer
 from labyrinth_sim.trials import Array
 
@@ -112,6 +112,16 @@ def test_a_way_that_explains_much_by_chance_hides_no_other() -> None:
     assert np.all(levels[:, 0] > 0.6) and np.all(levels[:, 1:] < 0.4), "each has a level of its own"
     exceeded = np.mean([np.mean(np.any(moved(50) > level, axis=1)) for level in levels])
     assert 0.03 < exceeded < 0.07, "by chance any of them exceeds its own in one of twenty"
+
+
+def test_of_two_misfits_each_is_counted_in_its_own_size() -> None:
+    def explained(misfit: float, share: float) -> Explained:
+        """Of ten stretches alike, as of forces and of a sensor's errors, whose misfits differ."""
+        return Explained(share, np.tile([misfit, misfit * (1.0 - share)], (10, 1)), np.empty(0), 1.0)
+
+    assert better(explained(100.0, 0.5), explained(1.0, 0.1), seed=0)
+    assert not better(explained(1.0, 0.1), explained(100.0, 0.5), seed=0)
+    assert not better(explained(100.0, 0.5), explained(1.0, 0.5), seed=0)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

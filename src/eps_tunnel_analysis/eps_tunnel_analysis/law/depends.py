@@ -430,7 +430,7 @@ def varying(
     if not beyond_chance:
         return Depends(ordered)
     best = beyond_chance[0][1]
-    near = [d for d, e in beyond_chance if e.share > best.share - NO_MORE or not _better(best, e, seed)]
+    near = [d for d, e in beyond_chance if e.share > best.share - NO_MORE or not better(best, e, seed)]
     # Waves and swings have a value more to be fitted, so a smooth curve that explains as much is likelier.
     smooth = [d for d in near if not (d.period or d.frequency)]
     first = min(smooth or near, key=_plain)
@@ -481,9 +481,12 @@ def by_chance(shares: Array) -> list[float]:
     return [float(c) for c in -np.expm1(-(mostly + most))]
 
 
-def _better(one: Explained, other: Explained, seed: int) -> bool:
-    """Whether one explains more than another in all but `law_level` of the draws of stretches."""
-    gains = other.stretches[:, 1] - one.stretches[:, 1]
+def better(one: Explained, other: Explained, seed: int) -> bool:
+    """Whether one explains more than another in all but `law_level` of the draws of stretches.
+
+    Each is counted in shares of its own misfit: that of forces is about another motion than that of sensors' errors.
+    """
+    gains = other.left - one.left
     rng = np.random.default_rng(seed)
     counts = rng.multinomial(len(gains), np.full(len(gains), 1.0 / len(gains)), DRAWS)
     return bool(np.quantile(counts @ gains, SETTINGS.law_level) > 0.0)

@@ -113,6 +113,11 @@ class Explained:
     weights: Array
     fall: float
 
+    @property
+    def left(self) -> Array:
+        """(F,) share of the misfit that is left in each stretch."""
+        return np.asarray(self.stretches[:, 1] / max(float(self.stretches[:, 0].sum()), 1e-300))
+
     def interval(self, seed: int = 0) -> tuple[float, float]:
         """90 % of the share, by a bootstrap of the stretches."""
         rng = np.random.default_rng(seed)
