@@ -33,7 +33,8 @@ def loaded() -> tuple[Play, Addition]:
     return play, add_effects(wrong_model(), [play], ["gravity_load.x"], 1)
 
 
-@pytest.mark.parametrize("name", ["gravity_load.x", pytest.param("sensor_bias.motor_x", marks=STUDY)])
+@pytest.mark.study
+@pytest.mark.parametrize("name", ["gravity_load.x", "sensor_bias.motor_x"])
 def test_the_same_recordings_give_the_same_values_as_the_diagnosis(name: str, loaded: tuple[Play, Addition]) -> None:
     effect = name.partition(".")[0]
     play = loaded[0] if effect == "gravity_load" else as_play(recorded(f"{effect}=strong", seed=3))
@@ -78,9 +79,9 @@ def rubbing() -> tuple[Play, Diagnosis]:
 @pytest.mark.parametrize(
     ("name", "other"),
     [
-        ("coulomb_friction", "viscous_friction"),
+        pytest.param("coulomb_friction", "viscous_friction", marks=STUDY),
         pytest.param("dead_band", "backlash", marks=STUDY),
-        pytest.param("constant_torque", "return_spring", marks=STUDY),
+        ("constant_torque", "return_spring"),
     ],
 )
 def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_values(
@@ -99,6 +100,7 @@ def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_val
     assert alone.before.error == pytest.approx(diagnosis.verdict.before.error, rel=0.02)
 
 
+@pytest.mark.study
 def test_a_fit_that_has_not_converged_is_told(rubbing: tuple[Play, Diagnosis]) -> None:
     (play, diagnosis), name = rubbing, "coulomb_friction.horn"
     assert not any("converged" in text for text in addition_of(diagnosis, [name], [play]).doubts)

@@ -190,6 +190,7 @@ def test_the_verdict_is_the_same_bit_for_bit_on_more_threads_and_recordings_held
     assert other.after.held_out < 0.5 * other.before.held_out
 
 
+@pytest.mark.study
 def test_the_commands_write_what_they_promise(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", recorded("gravity_load"), "short", command().hash)
     reading = ["--real", str(bag), "--model", "labyrinth_manual"]

@@ -50,6 +50,7 @@ def test_the_loop_adds_what_the_rig_hides_and_writes_its_notebook(tmp_path: Path
     assert "Simulates 'model_1' now" in (tmp_path / "notebook" / "logs" / "sim_node.log").read_text()
 
 
+@pytest.mark.study
 def test_ctrl_c_stops_the_rig_and_leaves_notebook_and_bags_whole(tmp_path: Path) -> None:
     process = started(tmp_path)
     log = tmp_path / "notebook" / "logs" / "analysis_node.log"
