@@ -22,7 +22,6 @@ from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate
 
-STUDY = pytest.mark.study
 HIDDEN_MOMENT = 0.35 / 9.81  # kg m, of the strong load on the emulated rig, 0.35 N m
 
 
@@ -76,13 +75,10 @@ def rubbing() -> tuple[Play, Diagnosis]:
     return between("coulomb_friction", "viscous_friction")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "other"),
-    [
-        pytest.param("coulomb_friction", "viscous_friction", marks=STUDY),
-        pytest.param("dead_band", "backlash", marks=STUDY),
-        ("constant_torque", "return_spring"),
-    ],
+    [("coulomb_friction", "viscous_friction"), ("dead_band", "backlash"), ("constant_torque", "return_spring")],
 )
 def test_what_a_diagnosis_of_several_candidates_names_is_added_with_the_same_values(
     name: str, other: str, rubbing: tuple[Play, Diagnosis]
