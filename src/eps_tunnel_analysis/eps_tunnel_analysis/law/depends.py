@@ -420,7 +420,7 @@ def varying(
     # Waves of a sensor have not been moved: chance may do as much as with any curve of it, or waves of a force.
     waving_by_chance: dict[int | None, float] = {None: of_waves}
     waving_by_chance |= {
-        v.signal: max(of_waves, c) for v, c in zip(every, chances, strict=False) if v.signal is not None
+        v.signal: max(of_waves, c) for v, c in zip(every, chances, strict=False) if v.curve == OF_SENSORS[0]
     }
     explained += waves(judge, positions, waving_by_chance, seed, ratios)
     explained.append(swings(judge, of_swings, seed))
