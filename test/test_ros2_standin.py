@@ -445,9 +445,10 @@ def test_launch_starts_what_the_file_says_and_ends_it_on_a_signal(prefix: str, t
     try:
         assert process.stdout is not None
         said = ""
-        while "--ros-args" not in said or "died" not in said:
-            said += process.stdout.readline()
-        line = next(line for line in said.splitlines() if "--ros-args" in line and line.startswith("[wait-1] "))
+        line = ""
+        while not line or "died" not in said:  # the two processes speak in any order
+            told = process.stdout.readline()
+            said, line = said + told, told if told.startswith("[wait-1] ") and "--ros-args" in told else line
         words = line.split()[2:]
         parameters = yaml.safe_load(Path(words[words.index("--params-file") + 1]).read_text())
         process.send_signal(signal.SIGTERM)
