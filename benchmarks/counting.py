@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from eps_tunnel_analysis.diagnose.rank import NAMELESS
+
 Record = dict[str, Any]
 
 VISIBLE = 3.0  # times the floor
 INVISIBLE = 1.0  # times the floor; below, "nothing is missing within the noise" is true
 SURE = 0.95
 LEVELS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)  # of stated probability, for the reliability
-NAMELESS = ("none", "unknown", "overlooked", "imitated")  # hypotheses that are not sets of effects
 LEAST = 1e-4  # a probability below counts as this in the log score
 WORTH = 0.1  # of the held-out error that the true form must take away for its fall to be compared
 Z = 1.959964  # of a two-sided 95 %

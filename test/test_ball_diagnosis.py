@@ -62,9 +62,7 @@ def diagnosed(effect: str, only: Sequence[str], seed: int) -> Diagnosis:
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("start", "only"),
-    [(model(), ON_BALL[:2]), (load_model("labyrinth_manual"), ON_BALL[:1])],
-    ids=["told", "plain"],
+    ("start", "only"), [(model(), ON_BALL[:2]), (load_model("labyrinth_manual"), ON_BALL[:1])], ids=["told", "plain"]
 )
 def test_a_healthy_ball_is_given_no_name(start: Model, only: Sequence[str]) -> None:
     v = diagnose(start, [as_play(recorded(seed=51))], only=only).verdict

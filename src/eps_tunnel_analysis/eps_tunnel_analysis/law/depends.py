@@ -458,11 +458,9 @@ def _moved(
     shares = [judge.forces.explained(block, curve=True).share for block in blocks[: len(forces)]]
     surfaces = [judge.explained(v.rows, None, moved).share for v in pairs(forces, shares)]
     others = [judge.forces.explained(block).share for block in blocks[len(forces) :]]
-    known = iter(shares)
-    each = [next(known) if v.signal is None else judge.explained(v.rows, v.signal, moved, curve=True).share
-            for v in every]  # fmt: skip
+    shares += [judge.explained(v.rows, v.signal, moved, curve=True).share for v in every if v.signal is not None]
     waving = len(shaped[0])
-    return [*each, max(surfaces, default=0.0), max(others[:waving]), max(others[waving:])]
+    return [*shares, max(surfaces, default=0.0), max(others[:waving]), max(others[waving:])]
 
 
 def by_chance(shares: Array) -> list[float]:
