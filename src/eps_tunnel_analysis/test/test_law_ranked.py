@@ -10,6 +10,7 @@ import pytest
 from eps_tunnel_analysis.diagnose.added_force import Forces
 from eps_tunnel_analysis.diagnose.axis import diagnose_axis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law import proposal
 from eps_tunnel_analysis.law.depends import Depends, depends
 from eps_tunnel_analysis.law.formula import Formula
@@ -62,7 +63,8 @@ def test_sets_of_one_and_more_terms_are_refitted_and_the_best_is_ranked_beside_k
     beside = diagnose_axis(model, plays, PART, SearchOptions(("return_spring.pendulum",), 1))
     found = propose(model, plays, PART, nthread=1, beside=beside)
     assert found.refit is not None and {e.count(" + ") for e in found.tried if "phase" in e} >= {1, 2}
-    assert found.refit.held_out <= 1.02 * min(found.tried.values())
+    # Longer ones leave less by chance, less than half a floor less.
+    assert found.refit.held_out <= min(found.tried.values()) + SETTINGS.material
     assert [c.term.name for c in found.formula.terms] == ["wave", "drag"]
     assert found.ranked["return_spring.pendulum"] < 0.05 < 0.9 < found.probability
     assert found.probability == found.ranked[f"{NAME}.pendulum"]
@@ -94,8 +96,8 @@ def test_between_a_force_and_the_error_of_a_sensor_roll_outs_decide(
 ) -> None:
     def tied(*args: Any, **options: Any) -> Depends:
         found = depends(*args, **options)
-        force = next(d for d in found.dependences if d.acts == ("y", False) and d.curve == "curve_angle")
-        assert found.first is not None and found.first.acts == ("board_y", True)
+        force = next(d for d in found.dependences if d.acts == ("y", "force") and d.curve == "curve_angle")
+        assert found.first is not None and found.first.acts == ("board_y", "sensor")
         return replace(found, first=force, ties=(found.first,))
 
     wrong = labyrinth.with_effect("sensor_gain", "board_y", {"gain": 1.04})

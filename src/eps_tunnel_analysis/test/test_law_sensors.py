@@ -7,7 +7,8 @@ import pytest
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law.depends import depends
 from eps_tunnel_analysis.law.design import Design
-from eps_tunnel_analysis.law.formula import formulas, sensor_dictionary
+from eps_tunnel_analysis.law.effect_file import declared, effect_file
+from eps_tunnel_analysis.law.formula import Chosen, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, load_model
@@ -49,6 +50,22 @@ def test_a_sensor_that_is_late_is_off_by_its_speed_and_its_delay_is_found(model:
     (best, *_) = formulas(found, sensor_dictionary(found), PART.signals.index("board_x"))
     assert [c.term.name for c in best.terms] == ["late"]
     assert best.terms[0].values["delay"] == pytest.approx(DELAY, rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "values"), [
+    ("play", {"width": 0.02}), ("far_end", {"share": 1.0, "frequency": 25.0, "damping": 0.05}),
+])  # fmt: skip
+def test_a_sensor_behind_a_play_or_a_flexible_link_is_found_by_its_term(
+    model: Model, name: str, values: dict[str, float]
+) -> None:
+    terms = {term.name: term for term in sensor_dictionary(design(model, recorded(model)))}
+    behind = model.with_effect(declared(effect_file([Chosen(terms[name], values)])), "board_x")
+    found = design(model, recorded(behind))
+    (best, *_) = formulas(found, sensor_dictionary(found), PART.signals.index("board_x"))
+    term = best.terms[0]
+    assert term.term.name == name
+    for number in term.term.numbers[:2]:
+        assert term.values[number.name] == pytest.approx(values[number.name], rel=0.1)
 
 
 def test_no_sensor_is_early(model: Model) -> None:

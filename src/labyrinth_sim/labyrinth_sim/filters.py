@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 from scipy.special import ndtr
 
 from labyrinth_sim.trials import Array
@@ -135,6 +136,49 @@ class RateLimit:
         return out
 
 
+class Profile:
+    """A setpoint that follows its input on trapezoids of speed, (nsim,) each; NaN passes and restarts it at rest.
+
+    Each sample it takes the highest speed from which it can still stop at the target, as a sampled profile generator
+    does. What comes out is held for a sample, so it is the mean over that sample.
+
+    Args:
+        acceleration, speed: limits, per s^2 and per s; infinite where there is none.
+        step: s between samples.
+        start: where the setpoint stands.
+    """
+
+    def __init__(self, acceleration: Array, speed: Array, step: float, start: Array) -> None:
+        self.abrupt: NDArray[np.bool_] = np.isinf(acceleration)
+        self.free = self.abrupt & np.isinf(speed)
+        self.acceleration, self.speed = np.where(self.abrupt, 0.0, acceleration), speed
+        self.step = step
+        self.at, self.moving = np.array(start, float), np.zeros_like(start)
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        out = np.empty_like(own)
+        step, slowing = self.step, self.acceleration * self.step
+        at, moving = self.at, self.moving
+        for k in range(own.shape[1]):
+            goal = own[:, k]
+            free = self.free | np.isnan(at) | np.isnan(goal)
+            ahead = goal - at - 0.5 * moving * step
+            stoppable = np.sqrt((0.5 * slowing) ** 2 + 2.0 * self.acceleration * np.abs(ahead)) - 0.5 * slowing
+            wanted = np.copysign(np.minimum(stoppable, self.speed), ahead)
+            after = np.minimum(np.maximum(wanted, moving - slowing), moving + slowing)
+            mean, way = (2.0 * moving + after) * step / 6.0, 0.5 * (moving + after) * step
+            if self.abrupt.any():  # it moves at full speed until it is there, as `RateLimit` does
+                most = self.speed * step
+                straight = np.minimum(np.maximum(goal - at, -most), most)
+                way = np.where(self.abrupt, straight, way)
+                mean = np.where(self.abrupt, straight - 0.5 * straight * np.abs(straight) / most, mean)
+            out[:, k] = np.where(free, goal, at + mean)
+            at = np.where(free, goal, at + way)
+            moving = np.where(free | self.abrupt, 0.0, after)
+        self.at, self.moving = at, moving
+        return out
+
+
 class Play:
     """Backlash as the play operator: the output follows once the input has crossed the gap of `width` (nsim,)."""
 
@@ -151,6 +195,41 @@ class Play:
             out[:, k] = last
         self.last = last
         return out
+
+
+class Swing:
+    """What lies behind a damped spring whose other end is the input: y'' = w^2 (u - y) + 2 d w (u' - y').
+
+    It is at rest at first. What comes out is the input and a share of y - u, solved for inputs that are linear between
+    samples.
+
+    Args:
+        share: (nsim,) of the stretch y - u that is seen.
+        frequency: (nsim,) rad/s, w; `damping` (nsim,), d.
+        step: s between samples.
+    """
+
+    def __init__(self, share: Array, frequency: Array, damping: Array, step: float) -> None:
+        self.share = share[:, None]
+        self.behind: Array | None = None
+        self.last: Array = np.empty(0)
+        # The stretch x = y - u and its rate: x'' + 2 d w x' + w^2 x = -u'', and u' jumps at samples alone.
+        turn = np.zeros((len(share), 2, 2))
+        turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = 1.0, -(frequency**2), -2.0 * damping * frequency
+        self.turn, self.step = np.asarray(expm(turn * step)), step
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        if self.behind is None:
+            self.behind, self.last = np.zeros((len(own), 3)), own[:, 0]
+        x, rate, speed = self.behind.T
+        stretch = np.empty_like(own)
+        for k in range(own.shape[1]):
+            now = (own[:, k] - self.last) / self.step
+            rate = rate - np.nan_to_num(now - speed)
+            x, rate = (np.einsum("nij,nj->ni", self.turn, np.column_stack([x, rate]))).T
+            stretch[:, k], speed, self.last = x, now, own[:, k].copy()
+        self.behind = np.column_stack([x, rate, np.nan_to_num(speed)])
+        return own + self.share * stretch
 
 
 def rounded(values: Array, tick: Array) -> Array:

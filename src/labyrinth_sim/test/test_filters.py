@@ -3,8 +3,9 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
-from labyrinth_sim.filters import Delay, Lag, dithered, rounded
+from labyrinth_sim.filters import Delay, Lag, Swing, dithered, rounded
 
 STEP = 0.01  # s
 
@@ -59,3 +60,21 @@ def test_rounding_without_noise_is_rounding_and_without_ticks_nothing() -> None:
     soft = dithered(angles, ticks, np.full(3, 0.05))
     assert np.array_equal(soft[0], angles[0])
     assert np.abs(soft - angles).max() < 0.15 + 1e-12
+
+
+def test_a_far_end_swings_as_its_equation_says_in_parts_as_in_the_whole() -> None:
+    frequency, damping, step = np.array([20.0, 35.0, 35.0]), np.array([0.05, 0.3, 0.3]), 0.005
+    share = np.array([1.0, 1.0, 0.0])
+    time = np.arange(400) * step
+    near = np.tile(0.2 * np.sin(3.0 * time) ** 3, (3, 1))
+    seen = Swing(share, frequency, damping, step)(near, near)
+    for row in (0, 1):
+        w, d = frequency[row], damping[row]
+        system = ([2.0 * d * w, w**2], [1.0, 2.0 * d * w, w**2])
+        far = lsim(system, near[row], time)[1]
+        assert np.abs(far - near[row]).max() > 0.004
+        assert seen[row] == pytest.approx(far, abs=2e-4)
+    assert np.array_equal(seen[2], near[2])
+    parts = Swing(share, frequency, damping, step)
+    pieces = [parts(near[:, k : k + 50], near[:, k : k + 50]) for k in range(0, 400, 50)]
+    assert np.array_equal(np.hstack(pieces), seen)

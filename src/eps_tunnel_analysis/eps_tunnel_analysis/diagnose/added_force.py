@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion of one axis while recorded commands are played on a model, with forces over time added."""
+"""The motion of one axis while recorded commands are played on a model, with forces, or offsets of its setpoint, over
+time added.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +11,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.filters import Map
 from labyrinth_sim.live import Live
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
@@ -112,8 +115,40 @@ class Forces:
         return table
 
 
+class Setpoints:
+    """Adds tables of offsets over time to the command of one axis, a row of the table for each simulation."""
+
+    def __init__(self, axis: str) -> None:
+        self.table: Array = np.zeros((1, 1))  # (rows, K) rad
+        self.effect = Effect(
+            name="added_setpoint",
+            title="Added setpoint",
+            physics="An offset of the command over time, as a table.",
+            equation="u' = u + table",
+            parameters=(Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing"),),
+            stage="command",
+            mark="",
+            shows="offset",
+            confused_with=(),
+            separated_by="",
+            order=0,  # before any delay: what is added is an error of the command as it was sent
+            command=self._command,
+        )
+        self.name = f"added_setpoint.{axis}.row"
+        self._axis = axis
+
+    def into(self, model: Model) -> Model:
+        """The model with this effect, which adds nothing until asked."""
+        return model.with_effect(self.effect, self._axis, {"row": 0.0})
+
+    def _command(self, values: Values, site: Site, step: float, start: Array) -> Map:
+        rows = values["row"].astype(np.int64)
+        offsets = np.where(rows[:, None] > 0, self.table[np.maximum(rows - 1, 0)], 0.0)
+        return Map(lambda target: target + offsets[:, : target.shape[1]])
+
+
 class Playing:
-    """A model under recorded commands, with forces over time added to one axis.
+    """A model under recorded commands, with forces over time added to one axis, or offsets to its command.
 
     Args:
         model: refitted.
@@ -135,10 +170,10 @@ class Playing:
         nthread: int = 0,
     ) -> None:
         self.axis, self.signals, self.free = axis, tuple(signals), tuple(free)
-        self.forces = Forces(axis, at_load)
-        self.model = self.forces.into(model)
+        self.forces, self.setpoints = Forces(axis, at_load), Setpoints(axis)
+        self.model = self.setpoints.into(self.forces.into(model))
         self.plays = tuple(play_evidence(self.model, play, signals) for play in plays)
-        free = (*self.free, self.forces.name)
+        free = (*self.free, self.forces.name, self.setpoints.name)
         self.evidence = tuple(Evidence(self.model, free, [p], signals, STEP, nthread) for p in self.plays)
         self.values = np.array([self.model.values()[name] for name in self.free])
         self.nthread = nthread
@@ -157,7 +192,14 @@ class Playing:
         rows = np.arange(1, len(table) + 1, dtype=float)[:, None]
         free = np.broadcast_to(self.values if values is None else values, (len(table), len(self.free)))
         self.forces.table = table
-        return self.evidence[play](np.hstack([free, rows]))
+        return self.evidence[play](np.hstack([free, rows, np.zeros_like(rows)]))
+
+    def residuals_commanded(self, play: int, table: Array) -> Array:
+        """(n, R) the same under offsets (n, K) rad of the axis's command, without a force."""
+        rows = np.arange(1, len(table) + 1, dtype=float)[:, None]
+        free = np.broadcast_to(self.values, (len(table), len(self.free)))
+        self.setpoints.table = table
+        return self.evidence[play](np.hstack([free, np.zeros_like(rows), rows]))
 
     def motion(self, play: int, force: Array | None = None) -> Motion:
         """The axis's motion under a force over time (K,) N m, none by default."""

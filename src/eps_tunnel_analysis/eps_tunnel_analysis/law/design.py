@@ -18,16 +18,20 @@ RIDGE = 1e-4  # of the mean square of what a column changes
 BENDS = (0.0, 1e-2, 1.0)  # weights tried of a curve's squared curvature, in the same unit
 DRAWS = 400  # of the block bootstrap
 
+COMMAND = -1
+"""Stands for an axis's command where a number stands for a sensor."""
+
 Rows = Sequence[Array]
 """For each play, what acts over time, (n, K)."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """All residuals of an axis, linear in forces or sensor errors: R samples, F stretches of time.
+    """All residuals of an axis, linear in forces, or in errors of sensors or of the command: R samples, F stretches of
+    time.
 
-    Forces act on the motion with the missing force, which friction makes another than that without it. If a sensor is
-    wrong, nothing is missing, so its errors are added to the model's own motion.
+    Forces act on the motion with the missing force, which friction makes another than that without it. If a sensor or
+    the command is wrong, no force is missing, so their errors are added to the model's own motion.
 
     Attributes:
         missing: the plays' answers.
@@ -48,12 +52,12 @@ class Design:
         return cls._about(missing, missing.plays)
 
     @cached_property
-    def _of_sensors(self) -> "Design":
+    def _unforced(self) -> "Design":
         return self._about(self.missing, self.missing.unforced)
 
     def at(self, signal: int | None) -> "Design":
-        """The one for the error of a sensor with this number; None for a force."""
-        return self if signal is None else self._of_sensors
+        """The one for the error of a sensor with this number, or of the COMMAND; None for a force."""
+        return self if signal is None else self._unforced
 
     @classmethod
     def _about(cls, missing: MissingForce, plays: tuple[PlayAnswer, ...]) -> "Design":
@@ -65,15 +69,16 @@ class Design:
         """(R, K) change of the residuals by what acts over time.
 
         Args:
-            rows: for each play, forces (n, K) N m at its nodes; or errors (r, K) at the samples of one sensor.
-            signal: number of that sensor; None for a force.
+            rows: for each play, forces (n, K) N m or errors of the command (n, K) rad at its nodes; or errors (r, K) at
+                the samples of one sensor.
+            signal: number of that sensor, COMMAND, or None for a force.
             moved: share of its length by which each play's rows are moved in time, around the end.
         """
         parts = []
         for i, (play, own) in enumerate(zip(self.plays, rows, strict=True)):
             shifted = own if moved is None else np.roll(own, round(moved[i] * len(own)), axis=0)
-            if signal is None:
-                parts.append(play.answer @ shifted)
+            if signal is None or signal == COMMAND:
+                parts.append((play.answer if signal is None else self.missing.commanded[i]) @ shifted)
                 continue
             here = np.flatnonzero(play.signal == signal)
             block = np.zeros((len(play.time), own.shape[1]))
@@ -83,15 +88,15 @@ class Design:
 
     def angles(self, signal: int | None = None) -> list[Array]:
         """For each play the joint's angle at its nodes (n,), or at the samples (r,) of one sensor."""
-        if signal is None:
+        if signal is None or signal == COMMAND:
             return [p.at_nodes(p.motion.angle) for p in self.plays]
-        return self._seen(signal, [p.motion.angle for p in self.plays])
+        return self.seen(signal, [p.motion.angle for p in self.plays])
 
     def speeds(self, signal: int) -> list[Array]:
         """For each play the joint's speed (r,) at the samples of one sensor."""
-        return self._seen(signal, [p.motion.speed for p in self.plays])
+        return self.seen(signal, [p.motion.speed for p in self.plays])
 
-    def _seen(self, signal: int, over: Sequence[Array]) -> list[Array]:
+    def seen(self, signal: int, over: Sequence[Array]) -> list[Array]:
         """For each play what its motion has over time, at the samples (r,) of one sensor."""
         return [np.interp(p.time[p.signal == signal], p.motion.time, own)
                 for p, own in zip(self.plays, over, strict=True)]  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from eps_tunnel_analysis.law.depends import SWING
-from eps_tunnel_analysis.law.formula import OF_A_SENSOR, Chosen
+from eps_tunnel_analysis.law.formula import OF_A_COMMAND, OF_A_SENSOR, Chosen
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect
 from labyrinth_sim.errors import InputError
@@ -20,7 +20,13 @@ from labyrinth_sim.simulate import simulate
 NAME = "proposed_effect"
 SIGNIFICANT = 3  # figures of a typical value in the file
 FIRST_SLOT = 3  # of a law's memory, that holds what a term follows; before it are time, time since reversal, direction
-SHOWS = {"torque": "by_angle", "friction": "loop", "damping": "passing", "sensor": "by_angle", "late": "late"}
+SHOWS = {
+    "torque": "by_angle", "friction": "loop", "damping": "passing",
+    "sensor": "by_angle", "late": "late", "play": "loop", "far_end": "livelier",
+    "target": "by_angle", "stepped_target": "stairs", "target_late": "late", "target_lag": "late",
+    "target_limit": "passing", "target_profile": "late",
+}  # fmt: skip
+"""What a term acts as -> its mark, where no roll-out says which."""
 LOOKS = {
     "late": "The axis trails its command by a constant time.",
     "offset": "The axis is off by a constant.",
@@ -42,7 +48,32 @@ MISTAKEN = {
     "damping": ("viscous_friction", "supply_sag"),
     "sensor": ("sensor_gain", "sensor_bias"),
     "late": ("sensor_delay", "sensor_lag"),
+    "play": ("backlash", "sensor_quantisation"),
+    "far_end": ("sensor_lag", "belt_compliance"),
+    "target": ("positioning_error", "gain_error"),
+    "stepped_target": ("command_quantisation", "dead_band"),
+    "target_late": ("command_delay", "rate_limit"),
+    "target_lag": ("motion_profile", "command_delay"),
+    "target_limit": ("rate_limit", "torque_saturation"),
+    "target_profile": ("motion_profile", "command_delay"),
 }
+FILTER_NAMES = ("Chain", "Delay", "Lag", "Map", "Play", "Profile", "RateLimit", "Swing", "rounded")
+FILTERS = {
+    "target": "Map(lambda target: target + {sum})",
+    "stepped_target": "Map(lambda target: rounded(target, {sum}))",
+    "target_late": "Delay({sum}, step, start)",
+    "target_lag": "Lag({sum}, step)",
+    "target_limit": "RateLimit(1.0 / np.maximum({sum}, 1e-9), {sum} <= 0.0, step, start)",
+    "target_profile": "Profile(np.where({sum} > 0.0, 1.0 / np.maximum({sum}, 1e-9), np.inf), "
+    "np.full_like(start, np.inf), step, start)",
+    "far_end": "Swing({sum}, step)",
+    "play": "Play({sum})",
+    "late": "Delay({sum}, step, start, smooth=True)",
+    "sensor": "Map(lambda angle: angle + {sum})",
+}
+"""What a term of a sensor or the command acts as -> the filter that it is, with the sum of such terms; in the order of
+the rig.
+"""
 
 
 def prefixes(terms: Sequence[Chosen]) -> list[str]:
@@ -60,7 +91,7 @@ def equation_of(terms: Sequence[Chosen]) -> str:
 
 
 def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
-    """The text of a file that declares an effect with these terms, all of a force or all of a sensor.
+    """The text of a file that declares an effect with these terms, all of a force, of a sensor, or of the command.
 
     Args:
         shows: its mark, from `seen_mark`; by default what terms like the first one mostly show.
@@ -72,7 +103,8 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
         kind: [_code(c, name) for c, name in zip(terms, names, strict=True) if c.term.acts == kind] for kind in acts
     }
     parameters = [line for c, name in zip(terms, names, strict=True) for line in _parameters(c, name)]
-    sensor = acts[0] in OF_A_SENSOR
+    sensor, command = acts[0] in OF_A_SENSOR, acts[0] in OF_A_COMMAND
+    hook = "measure" if sensor else "command" if command else "step"
     equation = equation_of(terms)
     if not shows:
         shows = "coupled" if needs == {"other_axis"} and acts[0] == "torque" else SHOWS[acts[0]]
@@ -80,19 +112,22 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
                     if a in ("friction", "damping"))  # fmt: skip
     own = [f"{name}_{n.name}" for c, name in zip(terms, names, strict=True) for n in c.term.numbers]
     follows = {name: c.term.follows for c, name in zip(terms, names, strict=True) if c.term.follows}
-    body = _measure(code) if sensor else _step(code, needs, own, follows)
-    result = "angle' = angle + " if sensor else "torque = "
-    filters = ", ".join(name for name in ("Chain", "Delay", "Map") if f"{name}(" in body)
+    body = (
+        _filtered(code, "command" if command else "measure") if sensor or command else _step(code, needs, own, follows)
+    )
+    result = "angle' = angle + " if sensor else "command' = command + " if command else "torque = "
+    filters = ", ".join(name for name in FILTER_NAMES if f"{name}(" in body)
     imports = (
         "from labyrinth_sim.effect import Effect, Parameter, Values\n"
         f"from labyrinth_sim.filters import {filters}\nfrom labyrinth_sim.site import Site\n"
         "from labyrinth_sim.trials import Array\n"
-        if sensor
+        if hook != "step"
         else "from labyrinth_sim.effect import Effect, Parameter\nfrom labyrinth_sim.law import law, state\n"
     )
     for module in ("math", "numpy as np"):
         if f"{module.rpartition(' ')[2]}." in body:
             imports = f"import {module}\n\n{imports}"
+    what = "a sensor is off" if sensor else "the command is off" if command else "a force acts"
     lines = [
         "# SPDX-License-Identifier: Apache-2.0",
         '"""An effect that was found in recordings and not confirmed yet: say what it is, and give it a name."""',
@@ -104,13 +139,12 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
         "EFFECT = Effect(",
         f'    name="{NAME}",',
         f'    title="Found: {equation}",',
-        f'    physics="Not known yet; {"a sensor is off" if sensor else "a force acts"} by this formula, found in '
-        'recordings.",',
+        f'    physics="Not known yet; {what} by this formula, found in recordings.",',
         f'    equation="{(result + equation).replace("+ -", "- ")}",',
         "    parameters=(",
         *parameters,
         "    ),",
-        f'    stage="{"measurement" if sensor else "force"}",',
+        f'    stage="{"measurement" if sensor else "command" if command else "force"}",',
         f'    mark="{LOOKS[shows]}",',
         f'    shows="{shows}",',
         f"    confused_with={MISTAKEN[acts[0]]!r},".replace("'", '"'),
@@ -118,6 +152,8 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
     ]
     if sensor:
         lines += ['    where="signal",', "    measure=measure,"]
+    elif command:
+        lines.append("    command=command,")
     else:
         if "other_axis" in needs:
             lines += ['    needs=("other_axis",),', "    couples=True,"]
@@ -128,8 +164,8 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
 
 
 def _code(chosen: Chosen, prefix: str) -> str:
-    if chosen.term.acts in OF_A_SENSOR:
-        each = "" if chosen.term.acts == "late" else "[:, None]"
+    if chosen.term.acts in OF_A_SENSOR | OF_A_COMMAND:
+        each = "[:, None]" if chosen.term.acts in ("sensor", "target") else ""
         return chosen.term.formula.format(**{n.name: f'values["{prefix}_{n.name}"]{each}' for n in chosen.term.numbers})
     places = {n.name: f"{prefix}_{n.name}" for n in chosen.term.numbers} | {"followed": f"{prefix}_followed"}
     return chosen.term.formula.format(**places).replace("np.abs", "abs").replace("np.", "math.")
@@ -221,12 +257,12 @@ def _swinging(prefix: str, slot: int) -> list[str]:
     ]
 
 
-def _measure(code: Mapping[str, Sequence[str]]) -> str:
-    filters = [f"Delay({' + '.join(code['late'])}, step, start, smooth=True)"] if "late" in code else []
-    filters += [f"Map(lambda angle: angle + {' + '.join(code['sensor'])})"] if "sensor" in code else []
+def _filtered(code: Mapping[str, Sequence[str]], hook: str) -> str:
+    """A hook that makes the filters of these terms, `measure` or `command`."""
+    filters = [made.format(sum=" + ".join(code[kind])) for kind, made in FILTERS.items() if kind in code]
     one = len(filters) == 1
     kind, made = filters[0].partition("(")[0] if one else "Chain", filters[0] if one else f"Chain({', '.join(filters)})"
-    return f"def measure(values: Values, site: Site, step: float, start: Array) -> {kind}:\n    return {made}\n"
+    return f"def {hook}(values: Values, site: Site, step: float, start: Array) -> {kind}:\n    return {made}\n"
 
 
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []  # of files that compiled laws came from, kept as long as they are

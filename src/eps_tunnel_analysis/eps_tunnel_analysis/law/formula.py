@@ -9,21 +9,42 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.law.depends import DAMPED, FREQUENCIES, SWING, moving, periods, refined, swing
-from eps_tunnel_analysis.law.design import Design, Predictor
+from eps_tunnel_analysis.law.depends import FREQUENCIES, LATE, OF_COMMAND, SWING, refined
+from eps_tunnel_analysis.law.design import COMMAND, Design, Predictor
+from eps_tunnel_analysis.law.variables import (
+    DAMPED,
+    LATENESS,
+    Lateness,
+    commanded,
+    followed,
+    moving,
+    periods,
+    swing,
+    target,
+)
+from labyrinth_sim.filters import Play
 from labyrinth_sim.trials import Array
 
 MOST_TERMS = 4
 BEAM = 2  # sets of equally many terms that are extended further
-BEHIND = 0.1  # of the misfit, by which a runner-up may stay behind
-SIMPLER = 0.01  # of the misfit, that one more number in a term must explain
+BEHIND = 0.1  # of what is left of the misfit, by which a runner-up may leave more
+SIMPLER = 0.01  # of what is left of the misfit, that one more number in a term must explain
 SHAPES = 9  # values tried of a speed or time that shapes a term
 MOST_SHARE = 0.45  # of the load, as friction: just below 0.5, where a gear locks itself
-OF_A_SENSOR = {"sensor": "curve_sensor", "late": "curve_sensor_speed"}  # acts -> the free curve over its variable
+TICKS = 27  # sizes tried, of the command's ticks
+OF_A_COMMAND = {
+    "target": OF_COMMAND, "stepped_target": OF_COMMAND, **dict.fromkeys((f"target_{name}" for name in LATENESS), LATE),
+}  # fmt: skip
+"""What a term of the command acts as -> what it is over."""
+OF_A_SENSOR = {"sensor": "curve_sensor", "late": "curve_sensor_speed", "play": "curve_sensor_speed",
+               "far_end": SWING}  # fmt: skip
+"""What a term of a sensor acts as -> the free curve over its variable."""
+ADDS = ("torque", "friction", "damping", "sensor", "target")
+"""What terms act as of which several add up; others are filters."""
+LEAST_LEFT = 1e-6  # of the misfit
 SURE = 0.0  # lower end of the interval of what one more term explains
 
 
@@ -55,12 +76,12 @@ class Term:
 
     Attributes:
         name: prefix of its parameters.
-        acts: "torque", "friction", "damping", "sensor", or "late" of a sensor.
-        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, the law's
-            state `s`, and `{followed}`, which follows what `follows` names.
+        acts: "torque", "friction", "damping", or a key of OF_A_SENSOR or OF_A_COMMAND.
+        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, `target`,
+            the law's state `s`, and `{followed}`, which follows what `follows` names.
         equation: the same for people.
         numbers: those of the formula, amplitudes first.
-        shape: values of the number that is not linear; empty where all are.
+        shape: values of the number that is not linear; empty where all are. A term's only number may be one.
         columns: (K, 1 or 2) of a motion and the shape's value; of 2, sine and cosine.
         needs: "memory" for since and time, "other_axis".
         follows: "speed" or "angle", that a first-order memory follows, with the time constant `after`; SWING for the
@@ -78,12 +99,17 @@ class Term:
     follows: str = ""
 
     @property
+    def once(self) -> bool:
+        """Whether a law has it once at most."""
+        return self.acts not in ADDS
+
+    @property
     def over(self) -> str:
-        """The free curve over the variable that it depends on; SWING of a mass that swings, "" of a constant."""
+        """The free curve over the variable that it depends on; SWING, LATE or OF_COMMAND; "" of a constant."""
         if self.follows == SWING:
             return SWING
-        if self.acts in OF_A_SENSOR:
-            return OF_A_SENSOR[self.acts]
+        if self.acts in OF_A_SENSOR | OF_A_COMMAND:
+            return (OF_A_SENSOR | OF_A_COMMAND)[self.acts]
         words = {*re.findall(r"\w+", self.formula), self.follows}
         friction = "_friction" if self.acts == "friction" else ""
         over = {"other": f"curve_other{friction}", "angle": f"curve_angle{friction}", "carried": "curve_load_friction",
@@ -116,12 +142,6 @@ def _column(values: Array) -> Array:
 def _waves(angle: Array, period: float, factor: Array | float = 1.0) -> Array:
     turn = 2.0 * np.pi * angle / period
     return np.column_stack([factor * np.sin(turn), factor * np.cos(turn)])
-
-
-def followed(motion: Motion, values: Array, after: float) -> Array:
-    """(K,) a first-order memory of values (K,) over a motion's steps, with time constant `after` (s)."""
-    keeps = math.exp(-(motion.time[1] - motion.time[0]) / after)
-    return np.asarray(values[0] + lfilter([1.0 - keeps], [1.0, -keeps], values - values[0]))
 
 
 def _visited(motions: Sequence[Motion]) -> tuple[float, float, str]:
@@ -215,7 +235,50 @@ def sensor_dictionary(design: Design) -> list[Term]:
              "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
         Term("late", "late", "{delay}", "-T speed", (Number("delay", "s", True, 3.0, True, least=0.0),), (),
              lambda m, _: _column(-m.speed)),
+        Term("play", "play", "{width}", "behind a play of w", (Number("width", "rad", True, 5.0, True, least=0.0),),
+             tuple(float(w) for w in np.geomspace(0.003, 0.5, SHAPES) * (high - low)), _behind_a_play),
+        Term("far_end", "far_end", "{share}, {frequency}, {damping}", "g (z - angle), z'' = w^2 (angle - z) + ...",
+             (Number("share", "1", True, 3.0, True, 2.0, least=0.0), Number("frequency", "rad/s", False, 1.5),
+              Number("damping", "1", False, 10.0, begins=DAMPED)), tuple(float(w) for w in FREQUENCIES),
+             lambda m, w: _column(-swing(m, w) / w**2)),
     ]  # fmt: skip
+
+
+def _behind_a_play(motion: Motion, width: float) -> Array:
+    return _column(Play(np.full(1, width))(motion.angle[None], motion.angle)[0] - motion.angle)
+
+
+def command_dictionary(design: Design) -> list[Term]:
+    """Every term that may be an error of an axis's command."""
+    motions = [p.motion for p in design.at(COMMAND).plays]
+    span = max(float(np.ptp(target(m))) for m in motions)
+    waves = tuple(float(p) for p in periods(design))
+    size = Number("size", "rad", True, 3.0)
+    wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
+    ticks = tuple(float(t) for t in span / np.geomspace(60.0, 2.0, TICKS))
+
+    def only(name: str, unit: str) -> tuple[Number]:
+        return (Number(name, unit, True, 5.0, True, least=0.0),)
+
+    numbers = {"late": ("delay", "s", "command, T late"), "lag": ("after", "s", "command, followed with T"),
+               "limit": ("slowness", "s/rad", "command, no faster than 1 / s"),
+               "profile": ("slowness", "s^2/rad", "command, accelerated by 1 / s")}  # fmt: skip
+    return [
+        Term("offset", "target", "{size} + 0.0 * target", "b", (size,), (), lambda m, _: _column(np.ones_like(m.time))),
+        Term("scale", "target", "{share} * target", "g command", (Number("share", "1", True, 3.0),), (),
+             lambda m, _: _column(target(m))),
+        Term("wave", "target", "{size} * np.sin(2 * np.pi * target / {period} + {phase})",
+             "A sin(2 pi command / L + phase)", wave, waves, lambda m, p: _waves(target(m), p)),
+        Term("ticks", "stepped_target", "{tick}", "command in ticks of b", only("tick", "rad"), ticks,
+             lambda m, t: _column(t * np.round(target(m) / t) - target(m))),
+        *(Term(name, f"target_{name}", f"{{{number}}}", equation, only(number, unit),
+               tuple(float(s) for s in LATENESS[name].tried(design)), _late_by(LATENESS[name]))
+          for name, (number, unit, equation) in numbers.items()),
+    ]  # fmt: skip
+
+
+def _late_by(way: Lateness) -> Callable[[Motion, float], Array]:
+    return lambda motion, shape: _column(way.seen(motion, shape) - target(motion))
 
 
 def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, seed: int = 0) -> list[Formula]:
@@ -225,10 +288,10 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
 
     Args:
         terms: to choose from.
-        signal: number of the sensor whose error it is; None for a force.
+        signal: number of the sensor whose error it is, COMMAND, or None for a force.
     """
     design = design.at(signal)
-    least = max(SETTINGS.material / max(float(np.mean(design.y**2)), 1e-9), SETTINGS.share)
+    material = SETTINGS.material / max(float(np.mean(design.y**2)), 1e-9)
     whole = Predictor(design)
     known: dict[tuple[str, float], Array] = {}
     beam = [_Set((), np.empty((len(design.y), 0)), 0.0)]
@@ -237,9 +300,10 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
         grown: dict[tuple[str, ...], _Set] = {}
         for begun in beam:
             predictor = Predictor(design, begun.columns)
+            least = max(material, SETTINGS.share * (1.0 - begun.share))
             scored: list[tuple[float, Term, float]] = []
             for term in terms:
-                if any(term is other and not term.shape for other, _ in begun.chosen):
+                if any(term is other and (term.once or not term.shape) for other, _ in begun.chosen):
                     continue
                 shape, share = _best_shape(design, predictor, term, signal, known)
                 scored.append((share - SIMPLER * len(term.numbers), term, shape))
@@ -278,23 +342,19 @@ class _Set:
 
     @property
     def score(self) -> float:
-        """The share, less what each number must explain."""
-        return self.share - SIMPLER * sum(len(term.numbers) for term, _ in self.chosen)
+        """By how much it lowers the misfit, in the logarithm, less what each number must explain."""
+        return -math.log(max(1.0 - self.share, LEAST_LEFT)) - SIMPLER * sum(len(t.numbers) for t, _ in self.chosen)
 
 
 def _columns(design: Design, term: Term, shape: float, signal: int | None) -> Array:
     if signal is None:
         rows = [np.column_stack([p.at_nodes(c) for c in term.columns(p.motion, shape).T]) for p in design.plays]
+    elif signal == COMMAND:
+        rows = [p.about_nodes(commanded(p.motion, term.columns(p.motion, shape))) for p in design.plays]
     else:
-        seen = zip(design.angles(signal), design.speeds(signal), strict=True)
-        rows = [term.columns(_of_a_sensor(angle, speed), shape) for angle, speed in seen]
+        every = zip(*(term.columns(p.motion, shape).T for p in design.plays), strict=True)
+        rows = [np.column_stack(seen) for seen in zip(*(design.seen(signal, each) for each in every), strict=True)]
     return design.columns(rows, signal)
-
-
-def _of_a_sensor(angle: Array, speed: Array) -> Motion:
-    """What a sensor sees of a motion, at its samples."""
-    none = np.empty(0)
-    return Motion(none, angle, speed, none, none, none, none, none, none)
 
 
 def _best_shape(
@@ -331,6 +391,9 @@ def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen
             sine, cosine = weights[first], weights[first + 1]
             values = {"size": float(np.hypot(sine, cosine)), "period": shape, "phase": float(np.arctan2(cosine, sine))}
             first += 2
+        elif term.shape and len(names) == 1:  # of the size that the shape gives it, or turned about
+            values = {names[0]: math.copysign(shape, weights[first])}
+            first += 1
         else:
             values = {n.name: n.begins for n in term.numbers}
             values.update(zip(names, (float(weights[first]), shape), strict=False))

@@ -28,6 +28,8 @@ SPACING = 0.02  # s between nodes
 DECAYED = 1.5  # s after which a push is forgotten, so that one roll-out answers several
 PUSH = 0.2  # of the drive's torque, root mean square: to see how the motion answers
 LEAST_PUSH = 1e-4  # N m
+NUDGE = 0.02  # of the range of angles: to see how the motion answers to its command
+LEAST_NUDGE = 1e-4  # rad
 SMOOTH = np.geomspace(1e-3, 1e3, 7)  # of the curvature's weight, tried
 COLUMNS_AT_ONCE = 512  # columns of an inverse
 LEFT_OUT = 4  # neighbouring samples, left out together
@@ -68,6 +70,14 @@ class PlayAnswer:
         """(n,) of a quantity over the motion's steps (K,)."""
         return np.interp(self.nodes, self.motion.time, values)
 
+    def about_nodes(self, values: Array) -> Array:
+        """(n, c) of quantities that jump, over the motion's steps (K, c): their mean about each node."""
+        after, share = _places(self.motion.time, self.nodes)
+        rows = np.tile(np.arange(len(share)), 2)
+        weights = csr_array((np.concatenate([1.0 - share, share]), (np.concatenate([after - 1, after]), rows)),
+                            shape=(len(self.nodes), len(share)))  # fmt: skip
+        return np.asarray((weights @ values) / np.maximum(weights.sum(axis=1), 1e-9)[:, None])
+
 
 @dataclass(frozen=True)
 class MissingForce:
@@ -82,6 +92,8 @@ class MissingForce:
         worst: that of the worst signal without the force: others with a wide floor would hide it.
         side: of the axis that it acts on, "motor" or "load".
         unforced: the plays linearised about the model's own motion, without the force; `plays` by default.
+        commanded: for each play (R, n) the answer of the residuals, about the model's own motion, to an offset of the
+            command at each node, 1/rad; empty unless asked for.
     """
 
     axis: str
@@ -93,6 +105,7 @@ class MissingForce:
     worst: float = float("nan")
     side: str = "motor"
     unforced: tuple[PlayAnswer, ...] = field(default=(), repr=False)
+    commanded: tuple[csr_array, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if not self.unforced:
@@ -105,8 +118,9 @@ class MissingForce:
 
 
 def missing_force(
-    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, passes: int = PASSES, at_load: bool = False
-) -> MissingForce:
+    model: Model, plays: Sequence[Play], part: AxisPart, nthread: int = 0, passes: int = PASSES, at_load: bool = False,
+    commanded: bool = False,
+) -> MissingForce:  # fmt: skip
     """The force that one axis lacks.
 
     Args:
@@ -116,6 +130,7 @@ def missing_force(
         passes: linearisations at most; each is about the force of the last, or part of the way to it if a roll-out with
             that force leaves more.
         at_load: whether the force acts behind the belt, on the load's joint.
+        commanded: whether to find out how the axis answers to offsets of its command, too.
     """
     search = axis_search(model, plays, part, SearchOptions((), nthread))
     folds = search.evidence.fold(SETTINGS.block)
@@ -161,14 +176,19 @@ def missing_force(
                 )
             )  # fmt: skip
         forces, unforced = target, unforced or tuple(answers)
+    answers_commanded = tuple(
+        _commanded(playing, p, nodes_of[p], search.used[own] - first[p], search.scale[own], unforced[p].motion)
+        for p, own in enumerate(samples_of if commanded else ())
+    )
     without = np.concatenate([a.residuals for a in unforced])
     remaining = np.concatenate([a.residuals + a.answer @ a.force for a in answers])
     slides, side = model.rig.axis(part.name).slides, "load" if at_load else "motor"
     floors = float(np.mean(without**2)), float(np.mean(remaining**2))
     worst = worst_floors(without, np.concatenate([a.signal for a in answers]))
     return MissingForce(
-        part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, worst, side, unforced
-    )
+        part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, worst, side, unforced,
+        answers_commanded,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -234,11 +254,16 @@ def trial_offsets(plays: Sequence[Play], signals: Sequence[str]) -> dict[str, Ar
 
 def _between(time: Array, nodes: Array, scale: Array) -> csr_array:
     """(R, n) answer of samples at times (R,), in units of their scale, to what is linear between nodes."""
-    after = np.clip(np.searchsorted(nodes, time), 1, len(nodes) - 1)
-    share = np.clip((time - nodes[after - 1]) / (nodes[after] - nodes[after - 1]), 0.0, 1.0)
+    after, share = _places(time, nodes)
     rows = np.tile(np.arange(len(time)), 2)
     weights = np.concatenate([(1.0 - share) / scale, share / scale])
     return csr_array((weights, (rows, np.concatenate([after - 1, after]))), shape=(len(time), len(nodes)))
+
+
+def _places(time: Array, nodes: Array) -> tuple[NDArray[np.int64], Array]:
+    """(R,) the node after each time (R,), and how far it is from the one before it to that, as a share."""
+    after = np.clip(np.searchsorted(nodes, time), 1, len(nodes) - 1)
+    return after, np.clip((time - nodes[after - 1]) / (nodes[after] - nodes[after - 1]), 0.0, 1.0)
 
 
 def _settled(answers: Sequence[PlayAnswer], rolled_out: Array) -> bool:
@@ -269,28 +294,12 @@ def _linearised(
 ) -> _Linearised:
     motion = playing.motion(play, force)
     push = max(PUSH * float(np.sqrt(np.mean(motion.drive**2))), LEAST_PUSH)
-    apart = max(1, round(DECAYED / (nodes[1] - nodes[0])))
-    rows = min(apart, len(nodes))
-    table = np.tile(force, (rows + 1, 1))
     evidence = playing.evidence[play]
     steps_at = evidence.times(0)
-    for row in range(rows):
-        pushed = np.arange(len(nodes)) % apart == row
-        table[row + 1] += push * np.interp(steps_at, nodes, pushed.astype(float))
-    seen = playing.residuals(play, table)[:, used] / scale
+    pushes = _pushes(nodes, steps_at)
+    seen = playing.residuals(play, force + push * np.vstack([np.zeros(len(force)), pushes]))[:, used] / scale
     changes = np.nan_to_num(seen[1:] - seen[0]) / push
-    time = evidence.time[used]
-    samples, columns, answers = [], [], []
-    for row in range(rows):
-        own = np.arange(row, len(nodes), apart)
-        # A sample answers the last of several pushes before it; a node acts from the previous one on.
-        last = np.searchsorted(nodes[own] - (nodes[1] - nodes[0]), time, side="right") - 1
-        known = np.flatnonzero(last >= 0)
-        samples.append(known)
-        columns.append(own[last[known]])
-        answers.append(changes[row, known])
-    at = np.concatenate(samples), np.concatenate(columns)
-    answer = csr_array((np.concatenate(answers), at), shape=(len(used), len(nodes)))
+    answer = _answered(changes, nodes, evidence.time[used])
     base = np.empty((len(used), len(playing.values)))
     if len(playing.values):
         infos = playing.model.parameters()
@@ -301,6 +310,43 @@ def _linearised(
         base = (np.nan_to_num(shown - seen[0]) / (steps / span[: len(steps)])[:, None]).T
     at_nodes = np.interp(nodes, steps_at, force)
     return _Linearised(motion, nodes, seen[0] - answer @ at_nodes, answer, base, seen[0])
+
+
+def _commanded(
+    playing: Playing, play: int, nodes: Array, used: NDArray[np.int64], scale: Array, motion: Motion
+) -> csr_array:  # fmt: skip
+    """(R, n) answer of the residuals of one play to an offset of the command at each node, 1/rad."""
+    evidence = playing.evidence[play]
+    pushes = _pushes(nodes, evidence.times(0))
+    push = max(NUDGE * float(np.ptp(motion.angle)), LEAST_NUDGE)
+    table = push * np.vstack([np.zeros(pushes.shape[1]), pushes])
+    seen = playing.residuals_commanded(play, table)[:, used] / scale
+    return _answered(np.nan_to_num(seen[1:] - seen[0]) / push, nodes, evidence.time[used])
+
+
+def _pushes(nodes: Array, steps_at: Array) -> Array:
+    """(rows, K) pushes of one at every node, over the steps; those of one row are as far apart as one is forgotten."""
+    apart = max(1, round(DECAYED / (nodes[1] - nodes[0])))
+    number = np.arange(len(nodes)) % apart
+    return np.array(
+        [np.interp(steps_at, nodes, (number == row).astype(float)) for row in range(min(apart, len(nodes)))]
+    )
+
+
+def _answered(changes: Array, nodes: Array, time: Array) -> csr_array:
+    """(R, n) answer of samples at times (R,) to a push at each node, from what each row of `_pushes` changes."""
+    apart = max(1, round(DECAYED / (nodes[1] - nodes[0])))
+    samples, columns, answers = [], [], []
+    for row, change in enumerate(changes):
+        own = np.arange(row, len(nodes), apart)
+        # A sample answers the last of several pushes before it; a node acts from the previous one on.
+        last = np.searchsorted(nodes[own] - (nodes[1] - nodes[0]), time, side="right") - 1
+        known = np.flatnonzero(last >= 0)
+        samples.append(known)
+        columns.append(own[last[known]])
+        answers.append(change[known])
+    at = np.concatenate(samples), np.concatenate(columns)
+    return csr_array((np.concatenate(answers), at), shape=(len(time), len(nodes)))
 
 
 def _penalised(gram: csr_array, weight: float) -> Array:

@@ -21,20 +21,18 @@ from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, rank
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
-from eps_tunnel_analysis.law.depends import (
-    OVER_SPEED,
-    SWING,
-    Dependence,
-    Depends,
-    depends,
-    knots_of,
-    sensors,
-    traced,
-    variables,
-)
-from eps_tunnel_analysis.law.design import Design, Predictor, half_widths
+from eps_tunnel_analysis.law.depends import OF_COMMAND, SWING, Dependence, Depends, depends, traced
+from eps_tunnel_analysis.law.design import COMMAND, Design, Predictor, half_widths
 from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, equation_of, prefixes, seen_mark
-from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
+from eps_tunnel_analysis.law.formula import (
+    Chosen,
+    Formula,
+    Term,
+    command_dictionary,
+    dictionary,
+    formulas,
+    sensor_dictionary,
+)
 from eps_tunnel_analysis.law.missing_force import (
     MissingForce,
     MissingOffset,
@@ -43,6 +41,7 @@ from eps_tunnel_analysis.law.missing_force import (
     trial_offsets,
 )
 from eps_tunnel_analysis.law.refit import Visit, floors_on, visit
+from eps_tunnel_analysis.law.variables import OVER_SPEED, knots_of, sensors, variables
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.simulated import Play
@@ -174,6 +173,8 @@ class Proposal:
             what = f"is a {first.variable}"
         elif first.frequency:
             what = f"looks like a mass that swings on it at {first.frequency / (2.0 * np.pi):.3g} Hz"
+        elif first.late:
+            what = f"looks like {first.variable}"
         else:
             what = f"depends on {self.depends.words}{waves}"
         text = (
@@ -251,7 +252,7 @@ class Proposal:
         over |= {"curve_time": "s", "curve_time_friction": "s"}
         if first is None:
             return position, force
-        return over.get(first.curve, position), position if first.of_sensor else force
+        return over.get(first.curve, position), position if first.of_sensor or first.of_command else force
 
     def _units(self, chosen: Chosen) -> dict[str, str]:
         slides = self.missing.unit == "N"
@@ -293,7 +294,7 @@ def propose(
         part: of the axis.
         beside: the diagnosis of the axis, with whose best sets the proposal is ranked.
     """
-    missing = missing_force(model, plays, part, nthread)
+    missing = missing_force(model, plays, part, nthread, commanded=True)
     nothing = Formula((), 0.0, (0.0, 0.0))
     if missing.worst <= SETTINGS.healthy:
         return Proposal(part.name, part.name, missing, Depends(()), nothing)
@@ -316,10 +317,9 @@ def propose(
     tried: list[_Attempt] = []
     terms = 0
     for way in _ways(dependence):
-        sensor = list(part.signals).index(way.place) if way.of_sensor else None
-        words = sensor_dictionary(design) if way.of_sensor else dictionary(design)
+        place, words = _where(design, way)
         terms += len(words)
-        for law in formulas(design, words, sensor, seed):
+        for law in formulas(design, words, place, seed):
             effect = declared(effect_file(law.terms))
             lib = _library(model, part, effect, way.place)
             named = zip(law.terms, prefixes(law.terms), strict=True)
@@ -328,7 +328,7 @@ def propose(
             if not runs_away(attempt.model, shows.command, nthread):
                 tried.append(attempt)
     best = _best(tried)
-    if best is None or best.refit.held_out > SETTINGS.law_complete:
+    if not first.of_command and (best is None or best.refit.held_out > SETTINGS.law_complete):
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {
             f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, (w for _, w in table), strict=True)
@@ -362,11 +362,28 @@ def propose(
     )  # fmt: skip
 
 
+def _where(design: Design, way: Dependence) -> tuple[int | None, list[Term]]:
+    """Where something acts, as a number for `Design.columns`, and the dictionary for it."""
+    if way.of_command:
+        return COMMAND, command_dictionary(design)
+    if way.of_sensor:
+        return list(design.missing.signals).index(way.place), sensor_dictionary(design)
+    return None, dictionary(design)
+
+
 def _curve(
     design: Design, positions: Sequence[str], spans: Mapping[str, Mapping[str, float]], over: Dependence
 ) -> tuple[tuple[tuple[float, float], ...], tuple[float, ...]]:
-    """What is missing over a variable, as (variable, force) at ten places, and half of the 90 % interval at each."""
-    chosen = next(v for v in variables(design, positions) if (v.curve, v.place) == (over.curve, over.place))
+    """What is missing over a variable, as (variable, force) at ten places, and half of the 90 % interval at each; none
+    of a command that is late.
+    """
+    if over.late:
+        return (), ()
+    chosen = next(
+        v
+        for v in variables(design, positions)
+        if (v.curve, v.place, v.signal == COMMAND) == (over.curve, over.place, over.of_command)
+    )
     about = design.at(chosen.signal)
     columns = about.columns(chosen.rows, chosen.signal)
     weights = Predictor(about).explained(columns, curve=True).weights
@@ -379,7 +396,7 @@ def _ways(dependence: Depends) -> list[Dependence]:
 
     Between a force and the error of a sensor roll-outs decide, each with a formula of its own.
     """
-    ways: dict[tuple[str, bool], Dependence] = {}
+    ways: dict[tuple[str, str], Dependence] = {}
     for d in (dependence.first, *dependence.ties):
         if d is not None:
             ways.setdefault(d.acts, d)
@@ -388,8 +405,9 @@ def _ways(dependence: Depends) -> list[Dependence]:
 
 def _words(attempt: _Attempt, first: Dependence) -> str:
     """Its equation, and where it acts if that is elsewhere than what was named."""
-    words, (place, of_sensor) = equation_of(attempt.law.terms), attempt.way.acts
-    return words if (place, of_sensor) == first.acts else f"{words}, {'read by' if of_sensor else 'on'} {place}"
+    words, (place, what) = equation_of(attempt.law.terms), attempt.way.acts
+    acts = {"sensor": "read by", "command": "in the command of", "force": "on"}[what]
+    return words if (place, what) == first.acts else f"{words}, {acts} {place}"
 
 
 def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
@@ -402,12 +420,18 @@ def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
 
 
 def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
-    """The formula that leaves least on left-out stretches; of those hardly worse, the one of fewest numbers."""
+    """The formula that leaves least on left-out stretches; of those hardly worse, the one of fewest numbers.
+
+    Where it acts is decided by smaller differences than how many terms it has, each of which must be material.
+    """
     predicts = [t for t in tried if np.isfinite(t.refit.held_out)]  # NaN of one that diverges
     if not predicts:
         return None
-    least = min(t.refit.held_out for t in predicts)
-    near = [t for t in predicts if t.refit.held_out <= SETTINGS.law_no_worse * least]
+    best = min(predicts, key=lambda t: t.refit.held_out)
+    least = best.refit.held_out
+    enough = {True: least + SETTINGS.material, False: 0.0}
+    near = [t for t in predicts
+            if t.refit.held_out <= max(SETTINGS.law_no_worse * least, enough[t.way.acts == best.way.acts])]  # fmt: skip
     return min(near, key=lambda t: (t.numbers, t.refit.held_out))
 
 
@@ -466,8 +490,8 @@ def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) 
     if swinging:
         most = max(swinging, key=lambda values: values["inertia"] * values["frequency"] ** 2)
         return _named_as(dependence, replace(first, frequency=most["frequency"]))
-    acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor"}
-    waves = [c.values for c in law.terms if "period" in c.values and c.term.acts == acts.get(first.curve)]
+    acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor", OF_COMMAND: "target"}
+    waves = [c.values for c in law.terms if "period" in c.values and c.term.acts == acts.get(first.over)]
     if not waves:
         return dependence
     period = abs(max(waves, key=lambda values: abs(values["size"]))["period"])

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.law.depends import OVER_SPEED, Dependence
+from eps_tunnel_analysis.law.depends import Dependence
+from eps_tunnel_analysis.law.variables import OVER_SPEED
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from eps_tunnel_analysis.simulated import Play

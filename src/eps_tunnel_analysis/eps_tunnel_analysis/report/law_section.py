@@ -33,7 +33,7 @@ def law(proposal: Proposal) -> Section:
     curve."""
     missing, depends = proposal.missing, proposal.depends
     rows = [
-        (d.variable if d.acts == (proposal.axis, False) else f"{d.variable} {d.place}",
+        (d.variable if d.acts == (proposal.axis, "force") else f"{d.variable} {d.place}",
          shown_value(d.period, proposal.position_unit, 4) + (f", {d.traced}" if d.traced else "") if d.period else "",
          Bar(max(d.share, 0.0), f"{max(d.share, 0.0):.0%} ({max(d.interval[0], 0.0):.0%} to {d.interval[1]:.0%})"),
          f"{max(d.chance, 0.0):.0%}",
