@@ -6,8 +6,8 @@
 Of three cases in a row one is a healthy rig, one has something outside the library, and one has an effect of the
 library that is left out. Cases are those of benchmarks/drawn_rigs. One more command of another style is recorded, never
 fitted, and used to judge what is proposed: by how much the error falls there, compared with the true form fitted to the
-same plays, or with the noise if the library has no true form. The diagnosis before has no effects to choose from, so
-that it says "complete" or "unknown". Seeds below 100000 are for tuning.
+same plays, of the library or of drawn_rigs/true_forms.py, or with the noise if it has none. The diagnosis before has no
+effects to choose from, so that it says "complete" or "unknown". Seeds below 100000 are for tuning.
 
 An interrupted run keeps its results: the JSON file is rewritten after each case, and --continue resumes the run.
 """
@@ -26,7 +26,18 @@ import numpy as np
 from counting import VISIBLE, wilson
 from diagnosis import earlier, write
 from drawn_rigs.cases import Case, draw
-from drawn_rigs.reading import Dependence, Model, Play, Proposal, floors_on, law_of, loaded, with_effect_fitted
+from drawn_rigs.reading import (
+    Dependence,
+    Model,
+    Play,
+    Proposal,
+    floors_on,
+    law_of,
+    loaded,
+    with_effect_fitted,
+    with_own_effect_fitted,
+)
+from drawn_rigs.true_forms import true_form
 
 TUNING = 100_000
 KINDS = ("healthy", "outside", "left_out")
@@ -90,8 +101,9 @@ def _said(case: Case, threads: int) -> Record:
     if other and axis:
         record["base_on_other"] = floors_on(base, other, axis, threads)
         record["base_on_own"] = floors_on(base, plays, axis, threads)
-        if case.kind == "left_out" and record["base_on_own"] > SHOWS:
-            record["true_on_other"] = floors_on(_true_form(base, plays, axis, case, threads), other, axis, threads)
+        true = _true_form(base, plays, axis, case, threads) if record["base_on_own"] > SHOWS else None
+        if true is not None:
+            record["true_on_other"] = floors_on(true, other, axis, threads)
     return record
 
 
@@ -117,8 +129,17 @@ def _axis(model: Model, case: Case) -> str:
     return next((a.name for a in model.rig.axes if place == a.name or place in [m.signal for m in a.measured]), "")
 
 
-def _true_form(base: Model, plays: Sequence[Play], axis: str, case: Case, threads: int) -> Model:
-    return with_effect_fitted(base, plays, axis, case.hidden[0].name, threads)
+def _true_form(base: Model, plays: Sequence[Play], axis: str, case: Case, threads: int) -> Model | None:
+    """The model with what is hidden, fitted to what was recorded; None where it has no form."""
+    hidden = case.hidden[0]
+    if case.kind == "left_out":
+        return with_effect_fitted(base, plays, axis, hidden.name, threads)
+    own = true_form(hidden.effect, hidden.period)
+    on = base.rig.axis(axis)
+    if own is None or (own.where == "signal" and on.belt):  # there it is the belt that goes unevenly
+        return None
+    place = on.positions[-1] if own.where == "signal" else axis
+    return with_own_effect_fitted(base, plays, axis, own, place, threads)
 
 
 def figures(records: Sequence[Record]) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that this benchmark takes from the programs that it judges: the bag's way in and out, and the diagnosis."""
+"""All that this benchmark takes from the programs that it judges: the bag's way in and out, the diagnosis, and how a
+true form is declared.
+"""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -11,17 +13,22 @@ from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.law.depends import Dependence
 from eps_tunnel_analysis.law.proposal import Proposal, proposal_of
-from eps_tunnel_analysis.law.refit import floors_on, with_effect_fitted
+from eps_tunnel_analysis.law.refit import floors_on, with_effect_fitted, with_own_effect_fitted
 from eps_tunnel_analysis.recording.decode import read_all
 from eps_tunnel_analysis.recording.decode import typestore as _typestore
 from eps_tunnel_analysis.recording.trials import to_plays
 from eps_tunnel_analysis.recording.writer import BagWriter
 from eps_tunnel_analysis.simulated import Play
-from labyrinth_sim.effect import effects
+from labyrinth_sim import filters
+from labyrinth_sim.effect import Effect, Parameter, Values, effects
+from labyrinth_sim.law import law, state
 from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.site import Site
+from labyrinth_sim.trials import Array
 
-__all__ = ["BagWriter", "Dependence", "Diagnosis", "Model", "Play", "Proposal", "add_effects", "diagnose", "floors_on",
-           "law_of", "library_names", "loaded", "typestore", "with_effect_fitted"]  # fmt: skip
+__all__ = ["Array", "BagWriter", "Dependence", "Diagnosis", "Effect", "Model", "Parameter", "Play", "Proposal", "Site",
+           "Values", "add_effects", "diagnose", "filters", "floors_on", "law", "law_of", "library_names", "loaded",
+           "state", "typestore", "with_effect_fitted", "with_own_effect_fitted"]  # fmt: skip
 
 
 @lru_cache(maxsize=1)

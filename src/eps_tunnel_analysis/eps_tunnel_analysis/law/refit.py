@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, search_of
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.law.depends import Dependence
 from eps_tunnel_analysis.law.variables import OVER_SPEED
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.effect import Effect
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import Axis
 from labyrinth_sim.trials import Array
@@ -41,7 +44,22 @@ def with_effect_fitted(model: Model, plays: Sequence[Play], axis: str, name: str
     """A model with an effect of the library, `EFFECT.PLACE`, fitted together with an axis's base values."""
     part = next(p for p in axis_parts(model, plays) if p.name == axis)
     search = axis_search(model, plays, part, SearchOptions((name,), nthread))
-    own = search.library.find(name)
+    return _fitted(model, search, search.library.find(name))
+
+
+def with_own_effect_fitted(
+    model: Model, plays: Sequence[Play], axis: str, effect: Effect, place: str, nthread: int = 0
+) -> Model:
+    """The same with an effect that no library has, at a place."""
+    part = next(p for p in axis_parts(model, plays) if p.name == axis)
+    off = model.with_effect(effect, place, effect.off, "switched off")
+    own = candidate(off, effect, place)
+    return _fitted(
+        model, search_of(Library(off, part.base, (own,), part.rough), plays, part, SearchOptions((), nthread)), own
+    )
+
+
+def _fitted(model: Model, search: Search, own: Candidate) -> Model:
     base = search.refit([((), search.start)], 1)[0]
     points = search.trial_points([base], [own])[:TRIED]
     early = search.refit([((own,), p.values) for p in points], FIRST)
