@@ -392,13 +392,17 @@ def _curve(
 
 
 def _ways(dependence: Depends) -> list[Dependence]:
-    """What is named, and of what explains as much the first that acts elsewhere.
+    """What is named, and of what else explains more than chance the best of each kind that acts elsewhere.
 
-    Between a force and the error of a sensor roll-outs decide, each with a formula of its own.
+    Between a force, the error of a sensor and that of the command roll-outs decide, each with a formula of its own: the
+    linear problems are about different motions, and where the axis sticks or sags they are rough.
     """
+    every = (d for d in (dependence.first, *dependence.ties, *dependence.dependences) if d is not None)
     ways: dict[tuple[str, str], Dependence] = {}
-    for d in (dependence.first, *dependence.ties):
-        if d is not None:
+    for d in every:
+        tied = d is dependence.first or d in dependence.ties
+        kinds = {what for _, what in ways}
+        if tied or (d.named and not d.pair and d.acts[1] not in kinds):
             ways.setdefault(d.acts, d)
     return list(ways.values())
 
