@@ -5,14 +5,19 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import law
 from drawn_rigs.cases import draw
-from drawn_rigs.reading import Dependence
+from drawn_rigs.reading import Dependence, floors_on, loaded
+from drawn_rigs.true_forms import UNITS, true_form
 from law import figures
+
+from labyrinth_sim.model import load_model
+from labyrinth_sim.simulate import simulate
 
 
 def case(effect="cogging", curve="curve_angle", visibility=10.0, period=0.0, other=None, **more):
@@ -81,3 +86,28 @@ def test_the_file_has_each_key_at_its_top_with_count_and_interval(tmp_path, monk
         assert {key, f"{key}_n", f"{key}_interval"} <= set(content)
         assert content[key] == content["figures"][key]
     assert content["variable_right_n"] == 1 and content["seed"] == 100_000
+
+
+def test_a_true_form_can_be_added_to_a_model_and_is_none_where_there_is_none():
+    model, time = load_model("labyrinth_manual"), np.arange(200) * 0.01
+    command = 0.2 * np.column_stack([np.sin(4.0 * time), np.cos(3.0 * time)])
+    plain = simulate(model, time, command).values
+    for name in UNITS:
+        effect = true_form(name, 0.3 if name in ("cogging", "tight_places", "eccentric_gear") else 0.0)
+        place = "board_x" if effect.where == "signal" else "x"
+        off = simulate(model.with_effect(effect, place, effect.off), time, command).values
+        assert np.array_equal(off, plain), name
+        assert np.abs(simulate(model.with_effect(effect, place), time, command).values - plain).max() > 1e-3, name
+    assert true_form("loose_mount", 0.0) is None
+
+
+@pytest.mark.study
+def test_the_true_form_of_what_is_drawn_leaves_hardly_more_than_noise(tmp_path):
+    """A pendulum whose motor cogs: seen before, as a case of the report."""
+    case = draw(870427, tmp_path, kind="outside", fresh=True)
+    model, plays = loaded(case.model, case.bags)
+    assert case.hidden[0].effect == "cogging"
+    base = law.law_of(model, plays, 1, case.seed)[1]
+    true = law._true_form(base, plays, "pendulum", case, 1)
+    assert floors_on(true, plays, "pendulum") < 3.0 < 10.0 < floors_on(base, plays, "pendulum")
+    assert true.values()["true_cogging.pendulum.period"] == pytest.approx(case.hidden[0].period, rel=0.01)

@@ -246,6 +246,10 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
     tied = replace(found, ties=(load, read))
     assert _ways(tied) == [speed, read]
+    # What explains more than chance by acting elsewhere is tried, too, though less in its own linear problem.
+    target = replace(load, variable="a lag of the command", share=0.3, of_command=True, late="lag")
+    assert _ways(replace(found, dependences=(load, speed, read, target))) == [speed, read, target]
+    assert _ways(replace(found, dependences=(load, speed, replace(target, named=False)))) == [speed]
     assert _as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read).first == read
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from labyrinth_sim.asset import compile_spec, read_spec
 from labyrinth_sim.effect import Drive, Effect, Values
@@ -101,6 +100,8 @@ def coupled_axes(model: Model) -> list[tuple[str, ...]]:
         scale = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
         share = np.abs(whole) / np.maximum(scale, 1e-300)
         felt |= [[any(share[i, j] > COUPLED for i in a for j in b) for b in own] for a in own]
+    from scipy.sparse.csgraph import connected_components  # takes long to import, and a node needs it not
+
     _, groups = connected_components(felt, directed=False)
     return [tuple(a.name for a, g in zip(model.rig.axes, groups, strict=True) if g == number)
             for number in range(max(groups, default=-1) + 1)]  # fmt: skip

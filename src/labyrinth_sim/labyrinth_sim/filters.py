@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.special import ndtr
 
 from labyrinth_sim.trials import Array
@@ -214,9 +213,10 @@ class Swing:
         self.behind: Array | None = None
         self.last: Array = np.empty(0)
         # The stretch x = y - u and its rate: x'' + 2 d w x' + w^2 x = -u'', and u' jumps at samples alone.
-        turn = np.zeros((len(share), 2, 2))
-        turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = 1.0, -(frequency**2), -2.0 * damping * frequency
-        self.turn, self.step = np.asarray(expm(turn * step)), step
+        decay, root = damping * frequency, frequency * np.sqrt(damping**2 - 1.0 + 1e-12j)
+        even, odd = np.cosh(root * step).real, (np.sinh(root * step) / root).real
+        turn = np.array([[even + decay * odd, odd], [-(frequency**2) * odd, even - decay * odd]])
+        self.turn, self.step = np.exp(-decay * step)[:, None, None] * turn.transpose(2, 0, 1), step
 
     def __call__(self, own: Array, every: Array) -> Array:
         if self.behind is None:

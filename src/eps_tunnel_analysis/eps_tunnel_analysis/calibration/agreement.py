@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from eps_tunnel_analysis.diagnose.discrepancy import start_changes
 from eps_tunnel_analysis.fit.intervals import intervals
@@ -66,7 +66,7 @@ def differing(
     values, span = problem.from_unit(z), (problem.high - problem.low)[free]
     simulated = objective(values[None])[0] + objective.mean
     starts = list(start_changes(objective, plays, problem, z, residuals))
-    quantile = norm.ppf(1.0 - 0.5 * WRONGLY / (len(bags) * len(free)))
+    quantile = ndtri(1.0 - 0.5 * WRONGLY / (len(bags) * len(free)))
     differences = []
     for bag in bags:
         mean, share = _mean_of(objective, plays, bag)

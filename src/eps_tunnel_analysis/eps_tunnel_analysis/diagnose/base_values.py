@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import qmc
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
 from eps_tunnel_analysis.diagnose.prescribed import Motions, coupled_with, measured_motions, with_prescribed_motion
@@ -115,6 +114,8 @@ def base_refit(search: Search, known: Mapping[str, float] | None = None, roughly
 def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     """The (K,) values, and those with other base values that fit best out of many, each from a different valley."""
     size = len(search.library.base) - search.library.rough
+    from scipy.stats import qmc  # half a second to import
+
     drawn = qmc.Sobol(size, rng=0, scramble=True).random(BASE_POINTS) if size else np.empty((0, 0))
     span = search.spans[:size]
     points = np.tile(values, (len(drawn) + 1, 1))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from labyrinth_sim.trials import Array
 
@@ -76,7 +76,7 @@ def intervals(
     variances, vectors = np.linalg.eigh(covariance)
     loose = vectors.T[np.sqrt(np.maximum(variances, 0.0)) > loose_bound]
     dead = right[sizes <= floor * 10]
-    return Intervals(deviation, norm.ppf(0.975) * deviation, np.vstack([loose, dead]), lag, covariance)
+    return Intervals(deviation, ndtri(0.975) * deviation, np.vstack([loose, dead]), lag, covariance)
 
 
 def autocorrelation_length(residuals: Array, blocks: Array, most: int = 200) -> int:
@@ -116,7 +116,7 @@ def _long_run(jac: Array, residuals: Array, blocks: Array, lag: int) -> Array:
 def widened(found: Intervals, more: Array) -> Intervals:
     """Intervals with (k,) more of deviation, normalised units."""
     deviation = np.hypot(found.deviation, more)
-    return replace(found, deviation=deviation, half_width=norm.ppf(0.975) * deviation)
+    return replace(found, deviation=deviation, half_width=ndtri(0.975) * deviation)
 
 
 def trade_offs(
@@ -144,7 +144,7 @@ def trade_offs(
         known = size[i] * np.sqrt(max(1.0 - correlation**2, 0.0))
         if shifts is not None and len(shifts):
             known = np.hypot(known, np.abs((shifts * span)[:, [i, j]] @ [1.0, share]).max())
-        half = norm.ppf(0.975) * known
+        half = ndtri(0.975) * known
         if half > np.sqrt(1.0 - TRADE_OFF**2) * found.half_width[i] * span[i]:
             continue
         sign, both = "-" if share < 0.0 else "+", values[i] + share * values[j]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import cma
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from eps_tunnel_analysis.fit.evaluations import Evaluations
 from eps_tunnel_analysis.fit.lockstep import descend
@@ -143,6 +142,8 @@ class GaussNewton:
 
     def run(self, evaluations: Evaluations, rng: np.random.Generator) -> None:
         """Minimise; the result is `evaluations.best`."""
+        from scipy.stats import qmc  # half a second to import
+
         scouts = qmc.LatinHypercube(d=evaluations.problem.size, rng=rng).random(self.scouts)
         points = np.vstack([evaluations.best, scouts])
         order = np.argsort(evaluations.fitness(points), kind="stable")

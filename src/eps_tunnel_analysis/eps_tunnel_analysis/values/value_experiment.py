@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from eps_tunnel_analysis.diagnose.evidence import play_evidence
 from eps_tunnel_analysis.diagnose.experiment import RATE, STEP, STOP, menu
@@ -240,7 +240,7 @@ def _gain(known: Array, more: Array) -> float:
 def _half_widths(known: Array) -> Array:
     """(k,) of the 95 % intervals, in shares of their spans."""
     covariance = np.linalg.inv(known + np.eye(len(known)) / PRIOR**2)
-    return np.asarray(norm.ppf(0.975) * np.sqrt(np.diag(covariance)))
+    return np.asarray(ndtri(0.975) * np.sqrt(np.diag(covariance)))
 
 
 def _blocks(name: str, shapes: Sequence[Shape]) -> list[tuple[str, list[Shape]]]:
