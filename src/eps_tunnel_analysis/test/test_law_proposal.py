@@ -230,6 +230,7 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     over = {name: term.over for name, term in terms.items()}
     assert over | {"constant": "", "stribeck": "curve_speed", "drag": "curve_speed", "trailing": "curve_speed",
                    "cubic": "curve_angle", "creeping": "curve_angle", "tight": "curve_angle_friction",
+                   "places": "curve_angle_friction",
                    "load": "curve_load_friction", "fading": "curve_reversal", "warming": "curve_time_friction",
                    "friction": "curve_speed", "offset": "curve_sensor"} == over  # fmt: skip
 

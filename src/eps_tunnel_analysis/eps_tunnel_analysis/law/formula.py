@@ -84,6 +84,7 @@ class Term:
         shape: values of the number that is not linear; empty where all are. A term's only number may be one.
         columns: (K, 1 or 2) of a motion and the shape's value; of 2, sine and cosine.
         needs: "memory" for since and time, "other_axis".
+        beside: further columns, for which no number stands.
         follows: "speed" or "angle", that a first-order memory follows, with the time constant `after`; SWING for the
             acceleration of a mass on a spring, with `frequency` and `damping`; "" for none.
     """
@@ -97,6 +98,7 @@ class Term:
     columns: Callable[[Motion, float], Array]
     needs: str = ""
     follows: str = ""
+    beside: int = 0
 
     @property
     def once(self) -> bool:
@@ -142,6 +144,12 @@ def _column(values: Array) -> Array:
 def _waves(angle: Array, period: float, factor: Array | float = 1.0) -> Array:
     turn = 2.0 * np.pi * angle / period
     return np.column_stack([factor * np.sin(turn), factor * np.cos(turn)])
+
+
+def _at_places(motion: Motion, period: float) -> Array:
+    """(K, 3) friction in half waves, 1 / pi + sin / 2 to first order: their mean is nobody's number."""
+    against = moving(motion)
+    return np.column_stack([_waves(motion.angle, period, 0.5 * against), against])
 
 
 def _visited(motions: Sequence[Motion]) -> tuple[float, float, str]:
@@ -201,6 +209,8 @@ def dictionary(design: Design) -> list[Term]:
              (Number("share", "1", True, 3.0, True, MOST_SHARE),), (), lambda m, _: _column(moving(m) * m.load)),
         Term("tight", "friction", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
              "F sin(2 pi angle / L + phase) sign(speed)", wave, waves, lambda m, p: _waves(m.angle, p, moving(m))),
+        Term("places", "friction", "{size} * max(np.sin(2 * np.pi * angle / {period} + {phase}), 0.0)",
+             "F max(sin(2 pi angle / L + phase), 0) sign(speed)", wave, waves, _at_places, beside=1),
         Term("fading", "friction", "{size} * np.exp(-since / {after})",
              "F exp(-(time since reversal) / T) sign(speed)", (size, lag), times,
              lambda m, t: _column(-m.direction * np.exp(-m.since / t)), "memory"),
@@ -390,7 +400,7 @@ def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen
         if names == ["size", "period", "phase"]:
             sine, cosine = weights[first], weights[first + 1]
             values = {"size": float(np.hypot(sine, cosine)), "period": shape, "phase": float(np.arctan2(cosine, sine))}
-            first += 2
+            first += 2 + term.beside
         elif term.shape and len(names) == 1:  # of the size that the shape gives it, or turned about
             values = {names[0]: math.copysign(shape, weights[first])}
             first += 1
