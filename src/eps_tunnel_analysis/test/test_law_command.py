@@ -13,6 +13,8 @@ from eps_tunnel_analysis.law.formula import Chosen, Term, command_dictionary, fo
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.law.proposal import propose
 from eps_tunnel_analysis.law.variables import LATENESS
+from eps_tunnel_analysis.report.law_section import law
+from eps_tunnel_analysis.report.page import render
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import simulate
@@ -29,7 +31,7 @@ def model() -> Model:
 
 def played(model: Model, seed: int, off: bool = False) -> Play:
     """Three trials of a swing with steps on it, with the noise of an encoder."""
-    t = np.arange(601) * 0.01
+    t = np.arange(451) * 0.01
     command = (0.6 * np.sin(2.2 * t) + 0.3 * np.sign(np.sin(4.1 * t)) * (t > 0.3))[:, None]
     command = np.full_like(command, np.nan) if off else command
     fine = np.arange(4 * len(t) - 3) * 0.0025  # s: a firmware is quicker than what records it
@@ -73,8 +75,8 @@ def test_every_error_of_a_command_in_a_file_is_what_its_column_says(model: Model
 
 @pytest.mark.parametrize(("effect", "values", "found"), [
     ("rate_limit", {"rate": 1.5}, "limit"),
-    ("motion_profile", {"acceleration": 8.0}, "profile"),
-    ("command_delay", {"delay": 0.06}, "late"),
+    pytest.param("motion_profile", {"acceleration": 8.0}, "profile", marks=pytest.mark.study),
+    pytest.param("command_delay", {"delay": 0.06}, "late", marks=pytest.mark.study),
     ("positioning_error", {"amplitude": SIZE, "period": PERIOD}, ""),
 ])  # fmt: skip
 def test_what_is_wrong_with_a_command_is_named_and_has_a_term(
@@ -94,6 +96,7 @@ def test_what_is_wrong_with_a_command_is_named_and_has_a_term(
     assert next(iter(term.values.values())) == pytest.approx(expected, rel=0.25)
 
 
+@pytest.mark.study
 def test_a_late_command_is_proposed_and_roll_outs_fit_it(model: Model) -> None:
     late = model.with_effect("motion_profile", "pendulum", {"acceleration": 8.0})
     found = propose(model, [played(late, 2)], PART, nthread=1)
@@ -102,6 +105,8 @@ def test_a_late_command_is_proposed_and_roll_outs_fit_it(model: Model) -> None:
     assert "looks like a limit of the command's acceleration" in found.sentence
     slowness = found.refit.values["proposed_effect.pendulum.profile_slowness"]
     assert 1.0 / slowness == pytest.approx(8.0, rel=0.05)
+    page = render("title", "subtitle", [law(found)])
+    assert "looks like a limit of the command" in page
     assert 'stage="command"' in found.text and found.visit is not None and not found.curve
 
 

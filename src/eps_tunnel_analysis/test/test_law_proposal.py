@@ -18,7 +18,7 @@ from eps_tunnel_analysis.law import proposal as proposal_module
 from eps_tunnel_analysis.law.depends import Dependence, Depends
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
-from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, sensor_dictionary
+from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
 from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_proposed, _ways, confirmed, propose, runs_away
 from eps_tunnel_analysis.outputs import json_text, plain
@@ -218,6 +218,23 @@ def test_a_healthy_rig_is_silent(model: Model) -> None:
     found = propose(model, [played(model, 3)], PART, nthread=1)
     assert found.depends.first is None
     assert (found.kind, found.text, found.model) == ("", "", None)
+
+
+def test_friction_at_places_is_found_as_half_waves(model: Model) -> None:
+    """Without any dry friction in the model, which could take the half waves' mean."""
+
+    def tight(live: Live, site: Site, values: Values) -> None:
+        wave = np.sin(2 * np.pi * live.qpos[:, site.qpos] / 0.9 + 0.4)
+        live["dof_frictionloss"][:, site.dof] += values["size"] * np.maximum(wave, 0.0)
+
+    effect = replace(WAVES, name="hidden_places", step=tight, touches=("dof_frictionloss",))
+    free = model.with_values({"coulomb_friction.pendulum.torque": 0.0})
+    play = played(free.with_effect(effect, "pendulum", {"size": 0.05}), 1)
+    found = Design.of(missing_force(free, [play], PART, nthread=1))
+    (best, *_) = formulas(found, dictionary(found))
+    term = best.terms[0]
+    assert term.term.name == "places"
+    assert (term.values["size"], term.values["period"]) == (pytest.approx(0.05, rel=0.3), pytest.approx(0.9, rel=0.05))
 
 
 @pytest.fixture(scope="module")
