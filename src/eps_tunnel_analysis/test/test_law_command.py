@@ -12,7 +12,7 @@ from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Term, command_dictionary, formulas
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.law.proposal import propose
-from eps_tunnel_analysis.law.variables import LATENESS
+from eps_tunnel_analysis.law.variables import LATENESS, apart, periods
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import render
 from eps_tunnel_analysis.simulated import Play
@@ -115,3 +115,17 @@ def test_nothing_is_said_of_a_command_that_is_right_or_absent(model: Model) -> N
     assert right.first is None and any(d.of_command for d in right.dependences)
     off = depends(design(model, played(model, 3, off=True)), PART.signals)
     assert not any(d.of_command for d in off.dependences)
+
+
+def test_waves_over_a_command_of_few_values_are_not_tried(model: Model) -> None:
+    """They could be any function of these values."""
+    own = design(model, played(model, 1))
+    assert apart(own) < 0.02 and len(periods(own, COMMAND)) > 50
+    t = np.arange(451) * 0.01
+    steps = np.array([0.0, 0.5, -0.3, 0.2, 0.6, -0.5, 0.1, 0.4, -0.2, 0.3])[(t // 0.45).astype(int) % 10][:, None]
+    run = simulate(model, t, steps)
+    play = Play("steps", Trials(t, run.signals, run.units, run.values, run.command_channels, steps[None]))
+    few = design(model, play)
+    assert apart(few) > 0.09 and {*LATENESS, "scale", "offset"} <= {term.name for term in command_dictionary(few)}
+    assert not [p for p in periods(few, COMMAND) if p < 0.39]
+    assert not [t for t in command_dictionary(few) if t.name == "ticks" and min(t.shape) < 0.39]

@@ -329,13 +329,14 @@ def waves(
     Args:
         chances: number of a sensor, COMMAND, None for a force -> share that chance explains.
     """
-    design, missing, tried = judge.design, judge.design.missing, periods(judge.design)
+    design, missing = judge.design, judge.design.missing
     ways: list[tuple[str, str, str, int | None]] = [("angle", "curve_angle", missing.axis, None)]
     ways += [("angle, as a sensor's error", "curve_sensor", missing.signals[i], i) for i in sensors(design, positions)]
-    if has_command(design):
+    if has_command(design) and len(periods(design, COMMAND)):
         ways.append((ERROR_OF_COMMAND, "curve_angle", missing.axis, COMMAND))
     dependences = []
     for name, which, place, signal in ways:
+        tried = periods(design, signal)
 
         def explained(period: float, signal: int | None = signal) -> Explained:
             return judge.explained(sines(design, period, signal), signal)

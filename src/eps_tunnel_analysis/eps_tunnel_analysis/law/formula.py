@@ -15,9 +15,11 @@ from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.depends import FREQUENCIES, LATE, OF_COMMAND, SWING, refined
 from eps_tunnel_analysis.law.design import COMMAND, Design, Predictor
 from eps_tunnel_analysis.law.variables import (
+    A_WAVE,
     DAMPED,
     LATENESS,
     Lateness,
+    apart,
     commanded,
     followed,
     moving,
@@ -262,10 +264,10 @@ def command_dictionary(design: Design) -> list[Term]:
     """Every term that may be an error of an axis's command."""
     motions = [p.motion for p in design.at(COMMAND).plays]
     span = max(float(np.ptp(target(m))) for m in motions)
-    waves = tuple(float(p) for p in periods(design))
+    waves = tuple(float(p) for p in periods(design, COMMAND))
     size = Number("size", "rad", True, 3.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
-    ticks = tuple(float(t) for t in span / np.geomspace(60.0, 2.0, TICKS))
+    ticks = tuple(float(t) for t in span / np.geomspace(60.0, 2.0, TICKS) if t >= A_WAVE * apart(design))
 
     def only(name: str, unit: str) -> tuple[Number]:
         return (Number(name, unit, True, 5.0, True, least=0.0),)
@@ -273,18 +275,26 @@ def command_dictionary(design: Design) -> list[Term]:
     numbers = {"late": ("delay", "s", "command, T late"), "lag": ("after", "s", "command, followed with T"),
                "limit": ("slowness", "s/rad", "command, no faster than 1 / s"),
                "profile": ("slowness", "s^2/rad", "command, accelerated by 1 / s")}  # fmt: skip
-    return [
+    terms = [
         Term("offset", "target", "{size} + 0.0 * target", "b", (size,), (), lambda m, _: _column(np.ones_like(m.time))),
         Term("scale", "target", "{share} * target", "g command", (Number("share", "1", True, 3.0),), (),
              lambda m, _: _column(target(m))),
-        Term("wave", "target", "{size} * np.sin(2 * np.pi * target / {period} + {phase})",
-             "A sin(2 pi command / L + phase)", wave, waves, lambda m, p: _waves(target(m), p)),
-        Term("ticks", "stepped_target", "{tick}", "command in ticks of b", only("tick", "rad"), ticks,
-             lambda m, t: _column(t * np.round(target(m) / t) - target(m))),
         *(Term(name, f"target_{name}", f"{{{number}}}", equation, only(number, unit),
                tuple(float(s) for s in LATENESS[name].tried(design)), _late_by(LATENESS[name]))
           for name, (number, unit, equation) in numbers.items()),
     ]  # fmt: skip
+    if waves:
+        equation = "A sin(2 pi command / L + phase)"
+        formula = "{size} * np.sin(2 * np.pi * target / {period} + {phase})"
+        terms.append(Term("wave", "target", formula, equation, wave, waves, lambda m, p: _waves(target(m), p)))
+    if ticks:
+        tick = only("tick", "rad")
+        terms.append(Term("ticks", "stepped_target", "{tick}", "command in ticks of b", tick, ticks, _in_ticks))
+    return terms
+
+
+def _in_ticks(motion: Motion, tick: float) -> Array:
+    return _column(tick * np.round(target(motion) / tick) - target(motion))
 
 
 def _late_by(way: Lateness) -> Callable[[Motion, float], Array]:

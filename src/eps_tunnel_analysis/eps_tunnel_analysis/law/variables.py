@@ -17,6 +17,7 @@ from labyrinth_sim.trials import Array
 PERIODS = 120  # of waves over an angle, tried evenly in the logarithm
 MOST_WAVES = 40.0  # within the range visited
 LEAST_WAVES = 0.8
+A_WAVE = 4.0  # values of a command in each of its waves, at least
 TRIED_IN_PAIRS = 3  # variables whose pairs are tried: those that explain most by themselves
 COARSE = 5  # knots of a pair's surface over each of its variables
 DAMPED = 0.05  # damping ratio with which a mass that swings is looked for
@@ -257,10 +258,21 @@ def _waves(angle: Array, period: float) -> Array:
     return np.column_stack([np.sin(turn), np.cos(turn)])
 
 
-def periods(design: Design) -> Array:
-    """(P,) rad, of waves over the angle that the visited range can resolve."""
+def periods(design: Design, signal: int | None = None) -> Array:
+    """(P,) rad, of waves over the angle that the visited range resolves; of COMMAND those that its values resolve, too."""
     span = max(float(np.ptp(p.motion.angle)) for p in design.plays)
-    return np.geomspace(span / MOST_WAVES, span / LEAST_WAVES, PERIODS)
+    every = np.geomspace(span / MOST_WAVES, span / LEAST_WAVES, PERIODS)
+    return every[every >= A_WAVE * apart(design)] if signal == COMMAND else every
+
+
+def apart(design: Design) -> float:
+    """rad between neighbouring values of the command: half of its range lies between values that are no further apart.
+
+    A command of few steps has few values, on which waves of any short period are any function at all.
+    """
+    values = np.unique(np.concatenate([target(p.motion) for p in design.at(COMMAND).plays]))
+    gaps = np.sort(np.diff(values))
+    return float(gaps[np.searchsorted(np.cumsum(gaps), 0.5 * gaps.sum())]) if len(gaps) else np.inf
 
 
 def _of_command(design: Design, angles: Mapping[str, float]) -> list[Variable]:
