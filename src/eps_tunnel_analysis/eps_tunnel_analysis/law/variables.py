@@ -259,7 +259,7 @@ def _waves(angle: Array, period: float) -> Array:
 
 
 def periods(design: Design, signal: int | None = None) -> Array:
-    """(P,) rad, of waves over the angle that the visited range resolves; of COMMAND those that its values resolve, too."""
+    """(P,) rad, of waves over the angle that the visited range resolves; of COMMAND its values must, too."""
     span = max(float(np.ptp(p.motion.angle)) for p in design.plays)
     every = np.geomspace(span / MOST_WAVES, span / LEAST_WAVES, PERIODS)
     return every[every >= A_WAVE * apart(design)] if signal == COMMAND else every
