@@ -63,14 +63,20 @@ RIGHT = {
     "directional_load_friction": {"curve_load_friction"},
     "gravity_load": {"curve_angle"},
     "return_spring": {"curve_angle"},
-    "positioning_error": {"curve_angle"},
+    "positioning_error": {"curve_angle", "command"},  # of the feedback, or of the target
+    "gain_error": {"command"},
+    "command_quantisation": {"command"},
+    "command_delay": {"late"},
+    "rate_limit": {"late"},
+    "motion_profile": {"late"},
     "cross_coupling": {"curve_other"},
     "sensor_gain": {"curve_sensor"},
     "sensor_bias": {"curve_sensor"},
     "sensor_delay": {"curve_sensor_speed"},
     "sensor_lag": {"curve_sensor_speed"},
 }
-"""Effect -> free curves whose variable is the one that it depends on; what is not listed depends on none of them."""
+"""Effect -> free curves whose variable is the one that it depends on, "command" for its error over itself, "late" for
+one that takes effect late; what is not listed depends on none of them."""
 
 Record = dict[str, Any]
 

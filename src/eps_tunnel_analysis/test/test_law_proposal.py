@@ -20,7 +20,14 @@ from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
-from eps_tunnel_analysis.law.proposal import Confirmation, Proposal, _as_proposed, _ways, confirmed, propose, runs_away
+from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways
+from eps_tunnel_analysis.law.proposal import (
+    Confirmation,
+    Proposal,
+    confirmed,
+    propose,
+    runs_away,
+)
 from eps_tunnel_analysis.outputs import json_text, plain
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import Chart, render
@@ -257,18 +264,21 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     speed, load = dependence("speed", "curve_speed", 0.7), dependence("load, as friction", "curve_load_friction", 0.72)
     found = Depends((load, speed), speed, (load,))
     chosen = Formula((Chosen(terms["load"], {"share": 0.1}), Chosen(terms["drag"], {"size": 0.1})), 0.8, (0.7, 0.9))
-    assert _as_proposed(found, chosen, speed).first == load and _as_proposed(found, chosen, speed).ties == (speed,)
+    assert as_proposed(found, chosen, speed).first == load and as_proposed(found, chosen, speed).ties == (speed,)
     chance = replace(found, dependences=(replace(load, named=False), speed))
-    assert _as_proposed(chance, chosen, speed).first == speed
+    assert as_proposed(chance, chosen, speed).first == speed
     # A sensor may have the name of the axis.
     read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
     tied = replace(found, ties=(load, read))
-    assert _ways(tied) == [speed, read]
+    assert ways(tied) == [speed, read]
     # What explains more than chance by acting elsewhere is tried, too, though less in its own linear problem.
     target = replace(load, variable="a lag of the command", share=0.3, of_command=True, late="lag")
-    assert _ways(replace(found, dependences=(load, speed, read, target))) == [speed, read, target]
-    assert _ways(replace(found, dependences=(load, speed, replace(target, named=False)))) == [speed]
-    assert _as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read).first == read
+    assert ways(replace(found, dependences=(load, speed, read, target))) == [speed, read, target]
+    assert ways(replace(found, dependences=(load, speed, replace(target, named=False)))) == [speed]
+    # Where roll-outs bear out nothing, no command is late.
+    assert refuted(Depends((target, load), target, (load,))) == Depends((target, load), load)
+    assert refuted(Depends((target,), target)).first is None
+    assert as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read).first == read
 
 
 @pytest.mark.study

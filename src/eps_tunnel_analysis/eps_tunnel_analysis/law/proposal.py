@@ -21,7 +21,7 @@ from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, rank
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
-from eps_tunnel_analysis.law.depends import OF_COMMAND, SWING, Dependence, Depends, depends, traced
+from eps_tunnel_analysis.law.depends import Dependence, Depends, depends
 from eps_tunnel_analysis.law.design import COMMAND, Design, Predictor, half_widths
 from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, equation_of, prefixes, seen_mark
 from eps_tunnel_analysis.law.formula import (
@@ -40,6 +40,7 @@ from eps_tunnel_analysis.law.missing_force import (
     missing_offset,
     trial_offsets,
 )
+from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_period
 from eps_tunnel_analysis.law.refit import Visit, floors_on, visit
 from eps_tunnel_analysis.law.variables import OVER_SPEED, knots_of, sensors, variables
 from eps_tunnel_analysis.outputs import shown_number, shown_value
@@ -316,7 +317,7 @@ def propose(
     run = SearchOptions((), nthread)
     tried: list[_Attempt] = []
     terms = 0
-    for way in _ways(dependence):
+    for way in ways(dependence):
         place, words = _where(design, way)
         terms += len(words)
         for law in formulas(design, words, place, seed):
@@ -337,22 +338,23 @@ def propose(
         if best is None or free.refit.held_out * SETTINGS.law_as_good < best.refit.held_out:
             best = free if np.isfinite(free.refit.held_out) else best
     bare = replace(bare, tried={_words(t, first): t.refit.held_out for t in tried})
+    unconfirmed = replace(bare, depends=refuted(dependence))
     if best is None:
-        return bare
+        return unconfirmed
     base = best.search.refit([((), best.search.start)], LAW_ROUNDS, "fine")[0]
     before = hypothesis(best.search, base)
     if best.refit.held_out > SETTINGS.law_falls * before.cost:
-        return bare
+        return unconfirmed
     text, law = "", best.law
     if best.kind == "formula":
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
         mark = seen_mark(model, declared(effect_file(law.terms)), best.way.place, plays[0])
         text = effect_file(law.terms, mark)
-        proposed = _as_proposed(dependence, law, best.way)
+        proposed = as_proposed(dependence, law, best.way)
         if proposed.first and proposed.first is not first:
             table, band = _curve(design, positions, spans, proposed.first)
             bare = replace(bare, curve=table, curve_band=band, visit=visit(model, part.name, proposed.first, motions))
-        dependence = _decided(_with_period(proposed, law, ratios(model.rig, part.name)), tried, best)
+        dependence = _decided(with_period(proposed, law, ratios(model.rig, part.name)), tried, best)
     return replace(
         bare, place=best.way.place, kind=best.kind, effect=best.effect, text=text,
         equation=equation_of(law.terms) if best.kind == "formula" else effects()[first.curve].equation,
@@ -389,22 +391,6 @@ def _curve(
     weights = Predictor(about).explained(columns, curve=True).weights
     table = tuple(zip(knots_of(over.curve, spans[over.curve]).tolist(), weights.tolist(), strict=True))
     return table, tuple(half_widths(about, columns).tolist())
-
-
-def _ways(dependence: Depends) -> list[Dependence]:
-    """What is named, and of what else explains more than chance the best of each kind that acts elsewhere.
-
-    Between a force, the error of a sensor and that of the command roll-outs decide, each with a formula of its own: the
-    linear problems are about different motions, and where the axis sticks or sags they are rough.
-    """
-    every = (d for d in (dependence.first, *dependence.ties, *dependence.dependences) if d is not None)
-    ways: dict[tuple[str, str], Dependence] = {}
-    for d in every:
-        tied = d is dependence.first or d in dependence.ties
-        kinds = {what for _, what in ways}
-        if tied or (d.named and not d.pair and d.acts[1] not in kinds):
-            ways.setdefault(d.acts, d)
-    return list(ways.values())
 
 
 def _words(attempt: _Attempt, first: Dependence) -> str:
@@ -464,48 +450,12 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
         yield replace(chosen, values={n: short.get(f"{prefix}_{n}", v) for n, v in chosen.values.items()})
 
 
-def _as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
-    """What is named, if the formula acts elsewhere or its first term depends on something else: roll-outs chose it."""
-    named, over = dependence.first, law.terms[0].term.over
-    same = [d for d in dependence.dependences
-            if d.named and d.over == over and d.acts == way.acts and not (d.pair or d.constant)]  # fmt: skip
-    if named is None or (named.over == over and named.acts == way.acts):
-        return dependence
-    first = max(same, key=lambda d: d.share, default=way)
-    if first is named:
-        return dependence
-    return replace(dependence, first=first, ties=(named, *(d for d in dependence.ties if d is not first)))
-
-
 def _decided(dependence: Depends, tried: Sequence[_Attempt], best: _Attempt) -> Depends:
     """Without what acts elsewhere and leaves clearly more in roll-outs."""
     judged = [t for t in tried if np.isfinite(t.refit.held_out)]
     enough = SETTINGS.law_as_good * best.refit.held_out
     more = {t.way.acts for t in judged} - {t.way.acts for t in judged if t.refit.held_out <= enough}
     return replace(dependence, ties=tuple(d for d in dependence.ties if d.acts not in more))
-
-
-def _with_period(dependence: Depends, law: Formula, turns: Mapping[str, float]) -> Depends:
-    """What is named, with the period or the frequency that the formula has."""
-    first = dependence.first
-    if first is None or first.pair:
-        return dependence
-    swinging = [c.values for c in law.terms if c.term.over == first.over == SWING]
-    if swinging:
-        most = max(swinging, key=lambda values: values["inertia"] * values["frequency"] ** 2)
-        return _named_as(dependence, replace(first, frequency=most["frequency"]))
-    acts = {"curve_angle": "torque", "curve_angle_friction": "friction", "curve_sensor": "sensor", OF_COMMAND: "target"}
-    waves = [c.values for c in law.terms if "period" in c.values and c.term.acts == acts.get(first.over)]
-    if not waves:
-        return dependence
-    period = abs(max(waves, key=lambda values: abs(values["size"]))["period"])
-    return _named_as(dependence, replace(first, period=period, traced=traced(period, turns)))
-
-
-def _named_as(dependence: Depends, named: Dependence) -> Depends:
-    """The same with what is named in the place of the first."""
-    every = tuple(named if d is dependence.first else d for d in dependence.dependences)
-    return replace(dependence, dependences=every, first=named)
 
 
 def confirmed(proposal: Proposal, plays: Sequence[Play], nthread: int = 0) -> Proposal:
