@@ -123,6 +123,7 @@ def test_what_is_not_there_is_not_added_at_values_that_fit_worse(monkeypatch: py
     assert added.after.error < 1.02 * added.before.error
 
 
+@pytest.mark.study
 def test_the_interval_of_a_named_effect_holds_what_was_hidden(loaded: tuple[Play, Addition]) -> None:
     added = loaded[1]
     low, high = added.intervals["gravity_load.x.moment"]
@@ -135,6 +136,7 @@ def test_the_interval_of_a_named_effect_holds_what_was_hidden(loaded: tuple[Play
     assert added.to_json()["intervals"]["gravity_load.x.moment"] == [low, high]
 
 
+@pytest.mark.study
 def test_values_at_their_bounds_are_told() -> None:
     added = add_effects(load_model("horn"), [swung()], ["coulomb_friction.horn", "command_delay.horn"], 1)
     at = [n for n, v in added.values.items() if v == 0.0 and not n.startswith("drive.")]

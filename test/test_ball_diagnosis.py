@@ -73,7 +73,7 @@ def test_a_healthy_ball_is_given_no_name(start: Model, only: Sequence[str]) -> N
 @pytest.mark.parametrize(
     ("hidden", "only", "name", "value"),
     [
-        ("camera_scale.both=strong", ("camera_scale",), "camera_scale.ball", 1.1),
+        pytest.param("camera_scale.both=strong", ("camera_scale",), "camera_scale.ball", 1.1, marks=pytest.mark.study),
         pytest.param("board_not_level.x=strong", ON_BALL[:2], "board_not_level.x", 0.02, marks=pytest.mark.study),
     ],
 )

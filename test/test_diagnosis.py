@@ -102,6 +102,7 @@ def test_what_is_said_of_an_axis_fits_together(unbalanced: tuple[Play, Diagnosis
     assert axis.held_out_error(["gravity_load.x"]) < axis.held_out_error([])
 
 
+@pytest.mark.study
 def test_trials_in_another_order_on_a_mirrored_axis_say_the_same(unbalanced: tuple[Play, Diagnosis]) -> None:
     play, one = unbalanced
     trials = replace(play.trials, values=-play.trials.values[::-1], commands=-play.trials.commands[::-1])

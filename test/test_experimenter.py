@@ -198,6 +198,7 @@ def test_an_undecided_diagnosis_is_followed_by_the_experiment_it_proposes(tmp_pa
     assert ending.verdict == "step limit"
 
 
+@pytest.mark.study
 def test_the_step_limit_ends_the_loop(tmp_path: Path) -> None:
     rig = OfflineRig("gravity_load.x=strong")
     ending = ended(rig, tmp_path, ("gravity_load",), most_steps=0)

@@ -78,7 +78,7 @@ def test_no_node_is_forgotten() -> None:
     assert set(STARTED) == {node for node, file in files.items() if nodes.parameters(file)}
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.study)])
 @pytest.mark.parametrize(("package", "name"), STARTED)
 def test_a_node_ends_soon_after_a_signal_where_no_clock_runs(
     place: Workplace, package: str, name: str, how: signal.Signals

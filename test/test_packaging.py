@@ -115,7 +115,10 @@ def colcon(folder: Path, package: str, verb: str, *options: str) -> str:
     return done.stdout
 
 
-@pytest.fixture(scope="module", params=PYTHON_PACKAGES)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(p, marks=[pytest.mark.study] * (p != "labyrinth_hw")) for p in PYTHON_PACKAGES],
+)
 def alone(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A package built from a copy of its folder, in which nothing else of the repository lies."""
     package, folder = request.param, tmp_path_factory.mktemp("alone")

@@ -92,6 +92,7 @@ def test_only_the_command_is_on_the_path(environment: Path) -> None:
     assert {name for name in ours if not name.lower().startswith(("activate", "python"))} == {"eps-tunnel"}
 
 
+@pytest.mark.study
 def test_everything_but_nodes_imports_without_ros_and_without_linux(environment: Path) -> None:
     with pytest.raises(AssertionError, match="rclpy is not here"):
         run(environment, "python", "-c", "import rclpy")

@@ -15,7 +15,7 @@ from effect_laws import LAWS, STEP, drive_scene, every_scene, played
 
 from eps_tunnel_analysis.diagnose.added_force import Playing
 from eps_tunnel_analysis.law.effect_file import declared, effect_file, seen_mark
-from eps_tunnel_analysis.law.formula import Chosen, dictionary, sensor_dictionary
+from eps_tunnel_analysis.law.formula import Chosen, command_dictionary, dictionary, sensor_dictionary
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import load_model
 from labyrinth_sim.trials import Trials
@@ -23,12 +23,26 @@ from labyrinth_sim.trials import Trials
 SIZE = 0.2  # of the drive's torque, root mean square, that each term adds
 OFF = 0.01  # rad, root mean square, that each term of a sensor adds
 FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck", "viscous", "drag", "uneven",
-          "trailing", "creeping", "swinging", "load", "tight", "fading", "warming", "coupling", "rubbing")  # fmt: skip
-BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "tight", "coupling", "rubbing")  # others are in TOGETHER
-SENSORS = ("offset", "scale", "bend", "wave", "late")
+          "trailing", "creeping", "swinging", "load", "tight", "places", "fading", "warming", "coupling",
+          "rubbing")  # fmt: skip
+# Others are in TOGETHER.
+BY_THEMSELVES = (
+    "constant",
+    "spring",
+    "bend",
+    "cubic",
+    "tight",
+    "places",
+    "coupling",
+    "rubbing",
+)  # others are in TOGETHER
+SENSORS = ("offset", "scale", "bend", "wave", "late", "play", "far_end")
+COMMANDS = ("offset", "scale", "wave", "ticks", "late", "lag", "limit", "profile")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",
             "uneven + drag", "-viscous + drag", "-friction + load", "swinging + trailing + swinging")  # fmt: skip
 LATE = ("offset + late", "late + wave + scale")
+COMMANDED = ("scale + late", "limit + wave")
+DICTIONARIES = {"force": dictionary, "sensor": sensor_dictionary, "command": command_dictionary}
 
 
 @pytest.fixture(scope="module")
@@ -56,22 +70,28 @@ def recorded():
     return model, play, motion
 
 
+def design():
+    """What a dictionary asks of a design."""
+    made = SimpleNamespace(plays=[SimpleNamespace(motion=recorded()[2])])
+    made.at = lambda signal: made
+    return made
+
+
 @cache
 def proposed(kind, names):
     """The effect that is proposed of these terms, of one size each; a minus before a term turns it round."""
     model, play, motion = recorded()
-    design = SimpleNamespace(plays=[SimpleNamespace(motion=motion)])
-    sensor = kind == "sensor"
-    terms = {t.name: t for t in (sensor_dictionary if sensor else dictionary)(design)}
-    size = OFF if sensor else SIZE * np.sqrt(np.mean(motion.drive**2))
+    terms = {t.name: t for t in DICTIONARIES[kind](design())}
+    size = SIZE * np.sqrt(np.mean(motion.drive**2)) if kind == "force" else OFF
     chosen = []
     for name in names.split(" + "):
         term = terms[name.removeprefix("-")]
         shape = term.shape[len(term.shape) // 2] if term.shape else 0.0
         each = size / np.sqrt(np.mean(term.columns(motion, shape)[:, 0] ** 2)) * (-1.0 if name[0] == "-" else 1.0)
+        each = shape if term.shape and len(term.numbers) == 1 else each
         values = {n.name: each if n.switches else shape if np.isnan(n.begins) else n.begins for n in term.numbers}
         chosen.append(Chosen(term, values | ({"phase": 0.5} if "phase" in values else {})))
-    place = "board_x" if sensor else "x"
+    place = "board_x" if kind == "sensor" else "x"
     mark = seen_mark(model, declared(effect_file(chosen)), place, play)
     return declared(effect_file(chosen, mark))
 
@@ -95,10 +115,21 @@ def test_a_sensor(names, law, scenes, without):
     law(proposed("sensor", names), scenes, without)
 
 
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+@pytest.mark.parametrize("names", COMMANDED)
+def test_a_command(names, law, scenes, without):
+    law(proposed("command", names), scenes, without)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+@pytest.mark.parametrize("names", COMMANDS)
+def test_a_term_of_a_command(names, law, scenes, without):
+    law(proposed("command", names), scenes, without)
+
+
 def test_every_term_is_tried():
-    _, _, motion = recorded()
-    design = SimpleNamespace(plays=[SimpleNamespace(motion=motion)])
-    assert [t.name for t in dictionary(design)] == list(FORCES)
-    assert [t.name for t in sensor_dictionary(design)] == list(SENSORS)
+    for kind, names in {"force": FORCES, "sensor": SENSORS, "command": COMMANDS}.items():
+        assert sorted(t.name for t in DICTIONARIES[kind](design())) == sorted(names)
     often = {part.removeprefix("-") for names in BY_THEMSELVES + TOGETHER for part in names.split(" + ")}
     assert often == set(FORCES), "without the long studies, too"

@@ -156,6 +156,7 @@ def test_topic_echo_of_an_unknown_topic_fails_as_the_real_one() -> None:
     assert out == "WARNING: topic [/nope] does not appear to be published yet\n"
 
 
+@pytest.mark.study
 def test_topic_info_counts_the_ends() -> None:
     code, out, _ = ros2("topic", "info", "/real/ball")
     assert (code, out) == (0, "Type: labyrinth_msgs/msg/BallState\nPublisher count: 1\nSubscription count: 0\n")
@@ -247,6 +248,7 @@ def test_interfaces_are_listed_by_kind() -> None:
     assert "_" not in "".join(line.split("/")[-1] for line in out.splitlines() if line[0] == " ")
 
 
+@pytest.mark.study
 def test_parameters_are_dumped_to_a_file_and_loaded_from_it(tmp_path: Path) -> None:
     code, out, _ = ros2("param", "dump", "/real/rig")
     assert code == 0

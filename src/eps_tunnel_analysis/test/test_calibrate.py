@@ -38,12 +38,14 @@ def test_gauss_newton_finds_the_values_that_made_the_data_on_a_command_it_never_
     assert fit.converged
 
 
+@pytest.mark.study
 def test_the_interval_of_d_holds_the_value_that_made_the_data() -> None:
     fit = calibrate(start(), FREE, plays(), Settings(signals=SIGNALS, held_out=(2,)))
     (d,) = (p for p in fit.parameters if p.name == "drive.x.d")
     assert abs(d.value - TRUTH["drive.x.d"]) <= 2 * d.half_width
 
 
+@pytest.mark.study
 def test_what_is_held_out_does_not_touch_the_fit() -> None:
     """The play held out was made by other values, so that a fit that saw it would go elsewhere."""
     other = plays((5.0,), {**TRUTH, "drive.x.p": 6.0, "drive.x.delay": 0.01})
@@ -96,6 +98,7 @@ def test_a_fits_tables_have_the_rig_against_itself_below_each_signal() -> None:
         assert [part.strip() for part in row.split("|")[4:-1]] == [shown_share(v) for v in itself["motor_x"].values()]
 
 
+@pytest.mark.study
 def test_a_recording_that_a_fit_made_worse_is_told_though_the_mean_fell() -> None:
     """The one held out was made by other values, which the start has already."""
     odd = {**TRUTH, "drive.x.p": 12.0}

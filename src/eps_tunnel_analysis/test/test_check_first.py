@@ -68,6 +68,7 @@ def test_a_diagnosis_tells_the_check_first_on_terminal_page_and_in_json(
     assert done.stdout.index("! Command arm goes from") < done.stdout.index(EXCITES) < done.stdout.index("Report:")
 
 
+@pytest.mark.study
 def test_the_shared_path_of_page_node_and_loop_has_the_same_check(
     made: tuple[Path, list[Path]], tmp_path: Path
 ) -> None:

@@ -76,6 +76,7 @@ def kill_soon(worker: subprocess.Popen[bytes]) -> None:
         threading.Timer(0.02, worker.send_signal, [signal.SIGKILL]).start()
 
 
+@pytest.mark.study
 @pytest.mark.realtime
 def test_a_fit_is_the_same(dask: DaskCluster) -> None:
     recorded = plays((3.0, -2.0))

@@ -70,7 +70,10 @@ def searched(play: Play) -> tuple[Search, Refit]:
     return search, base_refit(search)
 
 
-@pytest.mark.parametrize(("force", "curve"), [(drag, "curve_speed.pendulum"), (waves, "curve_angle.pendulum")])
+@pytest.mark.parametrize(
+    ("force", "curve"),
+    [pytest.param(drag, "curve_speed.pendulum", marks=pytest.mark.study), (waves, "curve_angle.pendulum")],
+)
 def test_the_curve_over_what_a_force_depends_on_leaves_little(force: Force, curve: str) -> None:
     play = played(hiding(force))
     search, base = searched(play)

@@ -121,6 +121,7 @@ def pushed(model: Model, axis: str, at_load: bool, torque: float) -> Model:
     return forces.into(model).with_values({forces.name: 1.0})
 
 
+@pytest.mark.study
 def test_a_force_behind_a_belt_is_found_on_the_load_and_on_every_axis_that_lacks_one(labyrinth: Model) -> None:
     plays = [played(pushed(labyrinth, "x", True, 0.05), both(), 1, 1e-4)]
     behind = missing_force(labyrinth, plays, PARTS["x"], nthread=1, passes=2, at_load=True)

@@ -47,6 +47,7 @@ def elbow(arm: Model, rubbing: Play) -> AxisPart:
     return axis_parts(arm, [rubbing])[1]
 
 
+@pytest.mark.study
 def test_a_joint_is_not_disturbed_by_a_model_that_is_far_off_about_the_next(
     arm: Model, rubbing: Play, elbow: AxisPart
 ) -> None:

@@ -81,6 +81,7 @@ def test_a_check_ends_with_the_diagnosis_to_type(arm: tuple[Path, Path]) -> None
     assert "begin with !" in after_check(True, [bags], str(model), None)[0]
 
 
+@pytest.mark.study
 def test_an_addition_ends_with_the_comparison_to_type(
     arm: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

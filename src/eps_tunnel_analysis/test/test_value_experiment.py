@@ -60,6 +60,7 @@ def test_it_tells_half_again_as_much_as_the_usual_sequence_of_the_same_length(de
     assert ratio < 0.5, widths
 
 
+@pytest.mark.study
 def test_what_is_known_already_is_narrowed_further() -> None:
     model = right()
     found = value_experiment(model, plays((1.0,)), FREE, seconds=9.0, nthread=1)
