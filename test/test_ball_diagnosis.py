@@ -93,6 +93,7 @@ def test_without_effects_on_the_ball_to_consider_the_ball_changes_nothing() -> N
     assert {**one, "notes": None} == {**other, "notes": None}
 
 
+@pytest.mark.study
 def test_a_ball_that_was_not_seen_at_first_is_told() -> None:
     play = as_play(recorded(seed=53))
     values = play.trials.values.copy()

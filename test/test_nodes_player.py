@@ -259,6 +259,7 @@ def test_a_cancelled_run_ends_with_aborted_marks_and_whole_bags(rigs: Rigs, run:
         assert phases(recording) == ["start", "aborted"]
 
 
+@pytest.mark.study
 def test_a_trial_that_a_stall_of_the_player_spoiled_is_begun_anew(rigs: Rigs, run: Any) -> None:
     path = rigs.folder / "long.yaml"
     path.write_text(SEQUENCE.replace("lasts_s: 1.2", "lasts_s: 4"), encoding="utf-8")

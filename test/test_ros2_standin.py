@@ -213,6 +213,7 @@ def test_node_list_names_the_node_once() -> None:
     assert listed("node", "list", line="/real/rig") == ["/real/gate", "/real/rig"]
 
 
+@pytest.mark.study
 def test_node_info_tells_what_the_node_offers() -> None:
     code, out, _ = ros2("node", "info", "/real/rig")
     assert code == 0

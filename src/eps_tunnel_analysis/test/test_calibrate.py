@@ -232,6 +232,7 @@ def unevenly_repeated() -> list[Play]:
     return recorded
 
 
+@pytest.mark.study
 def test_the_alikeness_is_the_better_target_where_the_rig_repeats_itself_unevenly() -> None:
     recorded = unevenly_repeated()
     scores, values = {}, {}

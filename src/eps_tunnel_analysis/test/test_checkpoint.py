@@ -35,7 +35,9 @@ def whole(request: pytest.FixtureRequest) -> tuple[str, Fit]:
     return request.param, fit(request.param)
 
 
-@pytest.mark.parametrize("death", ["SIGINT", "SIGTERM", "SIGKILL", "half a line", "a torn line"])
+@pytest.mark.parametrize("death", [
+    pytest.param("SIGINT", marks=pytest.mark.study), "SIGTERM", "SIGKILL", "half a line", "a torn line",
+])  # fmt: skip
 def test_a_killed_fit_goes_on_to_the_same_result(whole, children, tmp_path: Path, death: str) -> None:
     method, expected = whole
     journal = tmp_path / "checkpoint"

@@ -83,6 +83,7 @@ def test_bad_input_is_told_and_leaves_no_file(bags, tmp_path, capsys, options, t
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.study
 @pytest.mark.realtime
 def test_ctrl_c_keeps_the_best_so_far_and_the_checkpoint_goes_on_from_there(bags, tmp_path) -> None:
     options = ["--method", "es", "--generations", "6", "--signals", "motor_x", "--free", "drive.x.p", "drive.x.delay",

@@ -159,6 +159,7 @@ def test_the_rig_against_itself_stands_beside_every_alikeness(html, comparison):
     assert html.count("the rig against itself") > len(comparison.signals)
 
 
+@pytest.mark.study
 def test_a_long_recording_of_many_signals_stays_under_a_megabyte():
     rng = np.random.default_rng(2)
     real = rng.normal(size=(3, 30_000, 8))

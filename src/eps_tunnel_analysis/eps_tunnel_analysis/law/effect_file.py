@@ -112,9 +112,7 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
                     if a in ("friction", "damping"))  # fmt: skip
     own = [f"{name}_{n.name}" for c, name in zip(terms, names, strict=True) for n in c.term.numbers]
     follows = {name: c.term.follows for c, name in zip(terms, names, strict=True) if c.term.follows}
-    body = (
-        _filtered(code, "command" if command else "measure") if sensor or command else _step(code, needs, own, follows)
-    )
+    body = _step(code, needs, own, follows) if hook == "step" else _filtered(code, hook)
     result = "angle' = angle + " if sensor else "command' = command + " if command else "torque = "
     filters = ", ".join(name for name in FILTER_NAMES if f"{name}(" in body)
     imports = (

@@ -25,7 +25,7 @@ OVER_SPEED = ("curve_speed", "curve_sensor_speed")
 """Free curves whose variable is a speed."""
 OF_SENSORS = ("curve_sensor", "curve_sensor_speed")
 """Free curves of a sensor's error."""
-ERROR_OF_COMMAND = "command, as its error"
+ERROR_OF_COMMAND = "command, as the command's error"
 TURNS = (0.2, 0.8)  # of a play, within which the sign of a constant turns by chance
 
 
