@@ -20,6 +20,7 @@ from eps_tunnel_analysis.recording.trials import to_plays
 from eps_tunnel_analysis.recording.writer import BagWriter
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim import filters
+from labyrinth_sim.curve import other_angle
 from labyrinth_sim.effect import Effect, Parameter, Values, effects
 from labyrinth_sim.law import law, state
 from labyrinth_sim.model import Model, load_model
@@ -28,7 +29,7 @@ from labyrinth_sim.trials import Array
 
 __all__ = ["Array", "BagWriter", "Dependence", "Diagnosis", "Effect", "Model", "Parameter", "Play", "Proposal", "Site",
            "Values", "add_effects", "diagnose", "filters", "floors_on", "law", "law_of", "library_names", "loaded",
-           "state", "typestore", "with_effect_fitted", "with_own_effect_fitted"]  # fmt: skip
+           "other_angle", "state", "typestore", "with_effect_fitted", "with_own_effect_fitted"]  # fmt: skip
 
 
 @lru_cache(maxsize=1)

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from drawn_rigs.reading import Array, Effect, Parameter, Site, Values, filters, law, state
+from drawn_rigs.reading import Array, Effect, Parameter, Site, Values, filters, law, other_angle, state
 
 NEAR = 1.02  # times the true period, at most
 
@@ -35,7 +35,7 @@ def _tight(raw: int) -> None:
 @law
 def _other_friction(raw: int) -> None:
     s = state(raw)
-    s.frictionloss[s.dof] += s.values[0] * abs(s.qpos[s.drives[1 if s.channel == 0 else 0, 2]])
+    s.frictionloss[s.dof] += s.values[0] * abs(other_angle(s))
 
 
 def _ripple(values: Values, site: Site, step: float, start: Array) -> filters.Map:

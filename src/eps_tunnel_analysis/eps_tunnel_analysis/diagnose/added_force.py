@@ -4,7 +4,7 @@ time added.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,18 +54,21 @@ class Motion:
             object.__setattr__(self, name, locked(getattr(self, name)))
 
 
-class Forces:
-    """Adds tables of force over time to one axis, a row of the table for each simulation, and records one of them."""
+class Tables:
+    """Tables over time that are added to one axis, a row of the table for each simulation; hooks are added to `effect`.
 
-    def __init__(self, axis: str, at_load: bool = False) -> None:
-        self.at_load = at_load
-        self.table: Array = np.zeros((1, 1))  # (rows, K) N m
-        self._seen: list[list[float]] | None = None
+    Args:
+        axis: short name.
+        name, title, equation: of the effect.
+    """
+
+    def __init__(self, axis: str, name: str, title: str, equation: str) -> None:
+        self.table: Array = np.zeros((1, 1))  # (rows, K)
         self.effect = Effect(
-            name="added_force",
-            title="Added force",
-            physics="A force over time, as a table.",
-            equation="torque = table",
+            name=name,
+            title=title,
+            physics="An offset over time, as a table.",
+            equation=equation,
             parameters=(Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing"),),
             stage="force",
             mark="",
@@ -73,14 +76,23 @@ class Forces:
             confused_with=(),
             separated_by="",
             order=1000,
-            step=self._step,
         )
-        self.name = f"added_force.{axis}.row"
+        self.name = f"{name}.{axis}.row"
         self._axis = axis
 
     def into(self, model: Model) -> Model:
         """The model with this effect, which adds nothing until asked."""
         return model.with_effect(self.effect, self._axis, {"row": 0.0})
+
+
+class Forces(Tables):
+    """Adds tables of force over time (N m), and records one simulation."""
+
+    def __init__(self, axis: str, at_load: bool = False) -> None:
+        super().__init__(axis, "added_force", "Added force", "torque = table")
+        self.effect = replace(self.effect, step=self._step)
+        self.at_load = at_load
+        self._seen: list[list[float]] | None = None
 
     def _step(self, live: Live, site: Site, values: Values) -> None:
         count = live.memory.setdefault("added_force", np.zeros(1))
@@ -115,31 +127,13 @@ class Forces:
         return table
 
 
-class Setpoints:
-    """Adds tables of offsets over time to the command of one axis, a row of the table for each simulation."""
+class Setpoints(Tables):
+    """Adds tables of offsets over time (rad) to the command."""
 
     def __init__(self, axis: str) -> None:
-        self.table: Array = np.zeros((1, 1))  # (rows, K) rad
-        self.effect = Effect(
-            name="added_setpoint",
-            title="Added setpoint",
-            physics="An offset of the command over time, as a table.",
-            equation="u' = u + table",
-            parameters=(Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing"),),
-            stage="command",
-            mark="",
-            shows="offset",
-            confused_with=(),
-            separated_by="",
-            order=0,  # before any delay: what is added is an error of the command as it was sent
-            command=self._command,
-        )
-        self.name = f"added_setpoint.{axis}.row"
-        self._axis = axis
-
-    def into(self, model: Model) -> Model:
-        """The model with this effect, which adds nothing until asked."""
-        return model.with_effect(self.effect, self._axis, {"row": 0.0})
+        super().__init__(axis, "added_setpoint", "Added setpoint", "u' = u + table")
+        # Before any delay: what is added is an error of the command as it was sent.
+        self.effect = replace(self.effect, stage="command", order=0, command=self._command)
 
     def _command(self, values: Values, site: Site, step: float, start: Array) -> Map:
         rows = values["row"].astype(np.int64)
@@ -189,17 +183,20 @@ class Playing:
         Args:
             values: (n, k) of the free values, those of the model by default.
         """
-        rows = np.arange(1, len(table) + 1, dtype=float)[:, None]
-        free = np.broadcast_to(self.values if values is None else values, (len(table), len(self.free)))
         self.forces.table = table
-        return self.evidence[play](np.hstack([free, rows, np.zeros_like(rows)]))
+        numbers = _numbers(table)
+        return self.evidence[play](self._rows(numbers, np.zeros_like(numbers), values))
 
     def residuals_commanded(self, play: int, table: Array) -> Array:
         """(n, R) the same under offsets (n, K) rad of the axis's command, without a force."""
-        rows = np.arange(1, len(table) + 1, dtype=float)[:, None]
-        free = np.broadcast_to(self.values, (len(table), len(self.free)))
         self.setpoints.table = table
-        return self.evidence[play](np.hstack([free, np.zeros_like(rows), rows]))
+        numbers = _numbers(table)
+        return self.evidence[play](self._rows(np.zeros_like(numbers), numbers))
+
+    def _rows(self, forces: Array, setpoints: Array, values: Array | None = None) -> Array:
+        """(n, k + 2) of all free parameters, from the rows (n,) of forces and of offsets."""
+        free = np.broadcast_to(self.values if values is None else values, (len(forces), len(self.free)))
+        return np.column_stack([free, forces, setpoints])
 
     def motion(self, play: int, force: Array | None = None) -> Motion:
         """The axis's motion under a force over time (K,) N m, none by default."""
@@ -222,6 +219,11 @@ class Playing:
             evidence.commands[0][: len(seen), self._channel],
             other if len(self.model.rig.axes) > 1 else np.empty(0),
         )  # fmt: skip
+
+
+def _numbers(table: Array) -> Array:
+    """(n,) of a table's rows (n, K), from 1."""
+    return np.arange(1, len(table) + 1, dtype=float)
 
 
 def _reversals(speed: Array, step: float) -> tuple[Array, Array]:

@@ -88,7 +88,7 @@ class Design:
 
     def angles(self, signal: int | None = None) -> list[Array]:
         """For each play the joint's angle at its nodes (n,), or at the samples (r,) of one sensor."""
-        if signal is None or signal == COMMAND:
+        if signal is None:
             return [p.at_nodes(p.motion.angle) for p in self.plays]
         return self.seen(signal, [p.motion.angle for p in self.plays])
 

@@ -18,10 +18,10 @@ from eps_tunnel_analysis.law.variables import (
     A_WAVE,
     DAMPED,
     LATENESS,
-    Lateness,
     apart,
     commanded,
     followed,
+    in_waves,
     moving,
     periods,
     swing,
@@ -143,15 +143,10 @@ def _column(values: Array) -> Array:
     return np.asarray(values[:, None])
 
 
-def _waves(angle: Array, period: float, factor: Array | float = 1.0) -> Array:
-    turn = 2.0 * np.pi * angle / period
-    return np.column_stack([factor * np.sin(turn), factor * np.cos(turn)])
-
-
 def _at_places(motion: Motion, period: float) -> Array:
     """(K, 3) friction in half waves, 1 / pi + sin / 2 to first order: their mean is nobody's number."""
     against = moving(motion)
-    return np.column_stack([_waves(motion.angle, period, 0.5 * against), against])
+    return np.column_stack([in_waves(motion.angle, period, 0.5 * against), against])
 
 
 def _visited(motions: Sequence[Motion]) -> tuple[float, float, str]:
@@ -179,7 +174,7 @@ def dictionary(design: Design) -> list[Term]:
     terms = [
         Term("constant", "torque", "{size}", "T", (size,), (), lambda m, _: _column(np.ones_like(m.time))),
         Term("wave", "torque", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
-             "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
+             "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: in_waves(m.angle, p)),
         Term("spring", "torque", "-{stiffness} * angle", "-k angle", (Number("stiffness", per_rad, True, 3.0),), (),
              lambda m, _: _column(-m.angle)),
         Term("bend", "torque", f"{{size}} * min(max(angle, {low}), {high})**2", f"c angle^2, {held}",
@@ -210,7 +205,7 @@ def dictionary(design: Design) -> list[Term]:
         Term("load", "friction", "{share} * carried", "mu |load| sign(speed)",
              (Number("share", "1", True, 3.0, True, MOST_SHARE),), (), lambda m, _: _column(moving(m) * m.load)),
         Term("tight", "friction", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
-             "F sin(2 pi angle / L + phase) sign(speed)", wave, waves, lambda m, p: _waves(m.angle, p, moving(m))),
+             "F sin(2 pi angle / L + phase) sign(speed)", wave, waves, lambda m, p: in_waves(m.angle, p, moving(m))),
         Term("places", "friction", "{size} * max(np.sin(2 * np.pi * angle / {period} + {phase}), 0.0)",
              "F max(sin(2 pi angle / L + phase), 0) sign(speed)", wave, waves, _at_places, beside=1),
         Term("fading", "friction", "{size} * np.exp(-since / {after})",
@@ -244,7 +239,7 @@ def sensor_dictionary(design: Design) -> list[Term]:
         Term("bend", "sensor", f"{{size}} * np.clip(angle, {low}, {high})**2", f"c angle^2, {held}",
              (Number("size", "1/rad", True, 3.0),), (), lambda m, _: _column(m.angle**2)),
         Term("wave", "sensor", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
-             "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: _waves(m.angle, p)),
+             "A sin(2 pi angle / L + phase)", wave, waves, lambda m, p: in_waves(m.angle, p)),
         Term("late", "late", "{delay}", "-T speed", (Number("delay", "s", True, 3.0, True, least=0.0),), (),
              lambda m, _: _column(-m.speed)),
         Term("play", "play", "{width}", "behind a play of w", (Number("width", "rad", True, 5.0, True, least=0.0),),
@@ -267,7 +262,8 @@ def command_dictionary(design: Design) -> list[Term]:
     waves = tuple(float(p) for p in periods(design, COMMAND))
     size = Number("size", "rad", True, 3.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
-    ticks = tuple(float(t) for t in span / np.geomspace(60.0, 2.0, TICKS) if t >= A_WAVE * apart(design))
+    least = A_WAVE * apart(design)
+    ticks = tuple(float(t) for t in span / np.geomspace(60.0, 2.0, TICKS) if t >= least)
 
     def only(name: str, unit: str) -> tuple[Number]:
         return (Number(name, unit, True, 5.0, True, least=0.0),)
@@ -280,13 +276,13 @@ def command_dictionary(design: Design) -> list[Term]:
         Term("scale", "target", "{share} * target", "g command", (Number("share", "1", True, 3.0),), (),
              lambda m, _: _column(target(m))),
         *(Term(name, f"target_{name}", f"{{{number}}}", equation, only(number, unit),
-               tuple(float(s) for s in LATENESS[name].tried(design)), _late_by(LATENESS[name]))
+               tuple(float(s) for s in LATENESS[name].tried(design)), LATENESS[name].error)
           for name, (number, unit, equation) in numbers.items()),
     ]  # fmt: skip
     if waves:
         equation = "A sin(2 pi command / L + phase)"
         formula = "{size} * np.sin(2 * np.pi * target / {period} + {phase})"
-        terms.append(Term("wave", "target", formula, equation, wave, waves, lambda m, p: _waves(target(m), p)))
+        terms.append(Term("wave", "target", formula, equation, wave, waves, lambda m, p: in_waves(target(m), p)))
     if ticks:
         tick = only("tick", "rad")
         terms.append(Term("ticks", "stepped_target", "{tick}", "command in ticks of b", tick, ticks, _in_ticks))
@@ -295,10 +291,6 @@ def command_dictionary(design: Design) -> list[Term]:
 
 def _in_ticks(motion: Motion, tick: float) -> Array:
     return _column(tick * np.round(target(motion) / tick) - target(motion))
-
-
-def _late_by(way: Lateness) -> Callable[[Motion, float], Array]:
-    return lambda motion, shape: _column(way.seen(motion, shape) - target(motion))
 
 
 def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, seed: int = 0) -> list[Formula]:

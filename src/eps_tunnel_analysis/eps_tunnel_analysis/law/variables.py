@@ -204,12 +204,13 @@ class Lateness:
         fast = max(float(np.abs(p.motion.speed).max()) for p in design.plays)
         return np.array(self.shapes) / fast**self.power
 
+    def error(self, motion: Motion, shape: float) -> Array:
+        """(K, 1) rad, the command's error over a motion's steps."""
+        return np.asarray((self.seen(motion, shape) - target(motion))[:, None])
+
     def errors(self, design: Design, shape: float) -> list[Array]:
-        """For each play (n, 1) rad, the command's error at its nodes."""
-        plays = design.at(COMMAND).plays
-        return [
-            p.about_nodes(commanded(p.motion, (self.seen(p.motion, shape) - target(p.motion))[:, None])) for p in plays
-        ]
+        """For each play (n, 1) rad, the same at its nodes."""
+        return [p.about_nodes(commanded(p.motion, self.error(p.motion, shape))) for p in design.at(COMMAND).plays]
 
 
 def _delayed(motion: Motion, delay: float) -> Array:
@@ -249,13 +250,14 @@ def sines(design: Design, period: float, signal: int | None = None) -> list[Arra
     """
     if signal == COMMAND:
         plays = design.at(COMMAND).plays
-        return [p.about_nodes(commanded(p.motion, _waves(target(p.motion), period))) for p in plays]
-    return [_waves(angle, period) for angle in design.at(signal).angles(signal)]
+        return [p.about_nodes(commanded(p.motion, in_waves(target(p.motion), period))) for p in plays]
+    return [in_waves(angle, period) for angle in design.at(signal).angles(signal)]
 
 
-def _waves(angle: Array, period: float) -> Array:
+def in_waves(angle: Array, period: float, factor: Array | float = 1.0) -> Array:
+    """(n, 2) sine and cosine over an angle (n,), times a factor."""
     turn = 2.0 * np.pi * angle / period
-    return np.column_stack([np.sin(turn), np.cos(turn)])
+    return np.column_stack([factor * np.sin(turn), factor * np.cos(turn)])
 
 
 def periods(design: Design, signal: int | None = None) -> Array:
