@@ -10,6 +10,10 @@ model's, and what is judged are bags. Seeds below 100000 are for tuning; a repor
 `--study old` takes the cases on the emulated testbed instead: one rig, three strengths. There seeds 9000 to 9999 were
 used to choose the diagnosis's numbers.
 
+With --visible a drawn case in which something is wrong is judged only if all of it shows at over 3 times the floor. That
+is known before anything is diagnosed. Rates of what shows and of healthy rigs mean the same; the probabilities' figures
+are then of those cases.
+
 An interrupted run keeps its results: the JSON file is rewritten after each case, and --continue resumes the run.
 With --scheduler each case is a task of a Dask cluster, whose machines have this repository at the same path.
 """
@@ -31,7 +35,7 @@ from typing import Any
 
 import numpy as np
 import testbed_cases
-from counting import Record, confusion, figures, flat, reliability
+from counting import VISIBLE, Record, confusion, figures, flat, reliability
 from drawn_rigs.cases import draw
 from drawn_rigs.reading import Model, Play, add_effects, diagnose, loaded
 from drawn_rigs.rigs import PLANTS
@@ -45,17 +49,19 @@ TUNING = {"drawn": (0, 99_999), "old": (9000, 9999)}
 AGAIN = 50_000_000  # added to a seed for the noise of the experiment that a diagnosis proposes
 
 
-def judge_drawn(seed: int, threads: int, rig: str | None) -> Record:
-    """One drawn case from its bags to the verdict."""
+def judge_drawn(seed: int, threads: int, rig: str | None, visible: bool = False) -> Record:
+    """One drawn case from its bags to the verdict; only "passed_over" if what is wrong should show and does not."""
     with tempfile.TemporaryDirectory() as folder:
         case = draw(seed, Path(folder), rig)
+        if visible and any(h.visibility <= VISIBLE for h in case.hidden):
+            return {"seed": seed, "passed_over": True}
         model, plays = loaded(case.model, case.bags)
         record = case.to_json()
         record["visibility"] = min((h.visibility for h in case.hidden), default=0.0)
         return record | _said(model, plays, seed, threads, case.truth, case.kind, case.only)
 
 
-def judge_testbed(seed: int, threads: int, rig: str | None) -> Record:
+def judge_testbed(seed: int, threads: int, rig: str | None, visible: bool = False) -> Record:
     """One case on the emulated testbed; what the refitted base leaves stands for its visibility."""
     kind, hidden, model = testbed_cases.draw(seed)
     config = testbed_cases.rig(hidden)
@@ -107,24 +113,24 @@ def _said(
 STUDIES = {"drawn": judge_drawn, "old": judge_testbed}
 
 
-def judge_elsewhere(seed: int, folder: str, study: str, threads: int, rig: str | None) -> Record:
+def judge_elsewhere(seed: int, folder: str, study: str, **settings: Any) -> Record:
     """One case on a worker of a cluster, which finds the studies in `folder`."""
     if folder not in sys.path:
         sys.path.insert(0, folder)
-    record: Record = importlib.import_module("diagnosis").STUDIES[study](seed, threads, rig)
+    record: Record = importlib.import_module("diagnosis").STUDIES[study](seed, **settings)
     return record
 
 
 def judged(
-    study: str, seeds: Sequence[int], threads: int, workers: int, rig: str | None, scheduler: str | None = None
+    study: str, seeds: Sequence[int], workers: int, scheduler: str | None = None, **settings: Any
 ) -> Iterator[Record]:
-    """Cases as they are done; a case's answer does not depend on the workers."""
+    """Cases as they are done; a case's answer does not depend on the workers. `settings` are those of a judge."""
     if scheduler is not None:
-        there = partial(judge_elsewhere, folder=str(HERE), study=study, threads=threads, rig=rig)
+        there = partial(judge_elsewhere, folder=str(HERE), study=study, **settings)
         with connected(scheduler) as client:
             yield from each(client, there, seeds)
         return
-    judge = partial(STUDIES[study], threads=threads, rig=rig)
+    judge = partial(STUDIES[study], **settings)
     if workers == 1:
         yield from map(judge, seeds)
         return
@@ -140,8 +146,8 @@ def write(file: Path, content: dict[str, Any]) -> None:
     beside.replace(file)
 
 
-def earlier(file: Path, settings: dict[str, Any]) -> list[Record]:
-    """The records of an interrupted run.
+def earlier(file: Path, settings: dict[str, Any]) -> tuple[list[Record], list[int]]:
+    """The records of an interrupted run, and the seeds that it passed over.
 
     Raises:
         SystemExit: there is none, or it ran with other settings.
@@ -152,8 +158,7 @@ def earlier(file: Path, settings: dict[str, Any]) -> list[Record]:
     other = {key: content.get(key) for key in settings if content.get(key) != settings[key]}
     if other:
         raise SystemExit(f"{file} is of a run with {other}; this one has {settings}. Name another file.")
-    records: list[Record] = content["cases"]
-    return records
+    return content["cases"], content.get("passed_over", [])
 
 
 def arguments() -> argparse.Namespace:
@@ -163,6 +168,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=100_000, help="of the first case; the others follow")
     parser.add_argument("--study", choices=list(STUDIES), default="drawn")
     parser.add_argument("--rig", choices=list(PLANTS), help="this kind of rig only; drawn cases only")
+    parser.add_argument("--visible", action="store_true", help="judge only what shows, and healthy rigs; drawn cases only")
     parser.add_argument("--threads", type=int, default=0, help="of each case; 0 for one per CPU")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side; their seconds then mean little")
     parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do the cases")
@@ -175,6 +181,8 @@ def arguments() -> argparse.Namespace:
         parser.error("--workers is for this machine; a scheduler has its own workers.")
     if given.rig and given.study != "drawn":
         parser.error("--rig chooses among drawn rigs; the old study has one rig.")
+    if given.visible and given.study != "drawn":
+        parser.error("--visible chooses among drawn cases; of the old study's it is not known before.")
     return given
 
 
@@ -184,25 +192,30 @@ def main() -> None:
     low, high = TUNING[given.study]
     if given.seed <= high and given.seed + given.cases > low:
         print(f"Note: seeds {low} to {high} are for tuning; these figures flatter the diagnosis.")
-    settings = {"study": given.study, "rig": given.rig, "seed": given.seed}
-    records = earlier(given.json, settings) if given.goes_on else []
-    done = {r["seed"] for r in records}
+    settings = {"study": given.study, "rig": given.rig, "seed": given.seed, "visible": given.visible}
+    records, passed_over = earlier(given.json, settings) if given.goes_on else ([], [])
+    done = {*passed_over, *(r["seed"] for r in records)}
     seeds = [seed for seed in range(given.seed, given.seed + given.cases) if seed not in done]
     started = time.monotonic()
     threads = given.threads or int(given.scheduler is not None)  # a worker has its share of its machine's cores
-    cases = judged(given.study, seeds, threads, given.workers, given.rig, given.scheduler)
+    of_a_case = {"threads": threads, "rig": given.rig, "visible": given.visible}
+    cases = judged(given.study, seeds, given.workers, given.scheduler, **of_a_case)
     for number, record in enumerate(cases, start=1):
-        records.append(record)
-        records.sort(key=lambda r: r["seed"])
         rest = (time.monotonic() - started) / number * (len(seeds) - number)
-        print(f"[{number}/{len(seeds)}, {rest / 60:.0f} min left] {record['seed']} {record['kind']} {record['truth']} "
-              f"({record['visibility']:.1f} x floor) -> {record['verdict']} {', '.join(record['stated'])} "
-              f"[{record['seconds']:.0f} s]", flush=True)  # fmt: skip
+        said = f"[{number}/{len(seeds)}, {rest / 60:.0f} min left] {record['seed']}"
+        if record.get("passed_over"):
+            passed_over = sorted([*passed_over, record["seed"]])
+            print(f"{said} does not show", flush=True)
+        else:
+            records = sorted([*records, record], key=lambda r: r["seed"])
+            print(f"{said} {record['kind']} {record['truth']} ({record['visibility']:.1f} x floor) -> "
+                  f"{record['verdict']} {', '.join(record['stated'])} [{record['seconds']:.0f} s]",
+                  flush=True)  # fmt: skip
         if given.json:
             write(given.json, {
                 **settings, "date": str(date.today()), "threads": given.threads or os.cpu_count(),
                 "workers": given.workers, "figures": flat(figures(records)), "reliability": reliability(records),
-                "cases": records,
+                "passed_over": passed_over, "cases": records,
             })  # fmt: skip
     print(f"\n{len(records)} cases in {time.monotonic() - started:.0f} s")
     for key, figure in figures(records).items():

@@ -7,7 +7,8 @@ Of three cases in a row one is a healthy rig, one has something outside the libr
 library that is left out. Cases are those of benchmarks/drawn_rigs. One more command of another style is recorded, never
 fitted, and used to judge what is proposed: by how much the error falls there, compared with the true form fitted to the
 same plays, of the library or of drawn_rigs/true_forms.py, or with the noise if it has none. The diagnosis before has no
-effects to choose from, so that it says "complete" or "unknown". Seeds below 100000 are for tuning.
+effects to choose from, so that it says "complete" or "unknown". Seeds below 100000 are for tuning. With --visible what
+does not show at over 3 times the floor is drawn and not judged; the rates count only what shows anyway.
 
 An interrupted run keeps its results: the JSON file is rewritten after each case, and --continue resumes the run.
 """
@@ -81,12 +82,14 @@ one that takes effect late; what is not listed depends on none of them."""
 Record = dict[str, Any]
 
 
-def judge(seed: int, threads: int, effect: str | None) -> Record:
-    """One case from its bags to what is proposed."""
+def judge(seed: int, threads: int, effect: str | None, visible: bool = False) -> Record:
+    """One case from its bags to what is proposed; only "passed_over" if what is hidden should show and does not."""
     started = time.process_time()
     kind = KINDS[seed % len(KINDS)]
     with tempfile.TemporaryDirectory() as folder:
         case = draw(seed, Path(folder), kind=kind, effect=None if kind == "healthy" else effect, fresh=True)
+        if visible and any(h.visibility <= VISIBLE for h in case.hidden):
+            return {"seed": seed, "passed_over": True}
         record: Record = {**case.to_json(), "visibility": min((h.visibility for h in case.hidden), default=0.0)}
         try:
             record |= _said(case, threads)
@@ -210,7 +213,7 @@ def _of(record: Record) -> Record:
 
 def judged(seeds: Sequence[int], given: argparse.Namespace) -> Iterator[Record]:
     """Cases as they are done."""
-    judge_one = partial(judge, threads=given.threads, effect=given.effect)
+    judge_one = partial(judge, threads=given.threads, effect=given.effect, visible=given.visible)
     if given.workers == 1:
         yield from map(judge_one, seeds)
         return
@@ -219,12 +222,24 @@ def judged(seeds: Sequence[int], given: argparse.Namespace) -> Iterator[Record]:
             yield done.result()
 
 
+def _line(record: Record) -> str:
+    """One case on one line."""
+    found = record["proposal"]
+    text = record.get("error") or record["verdict"]
+    if found:
+        law = f"{found['curve'] or '-'} {found['kind']} {found['equation']}"
+        text += f"; {found['axis']}: {law} {found['floors'][0]:.3g} floors"
+    hidden = ", ".join(f"{h['effect']}.{h['place']}" for h in record["hidden"]) or "nothing"
+    return f"{record['seed']} {hidden} ({record['visibility']:.1f} x floor) -> {text} [{record['seconds']:.0f} s]"
+
+
 def main() -> None:
     """Runs the cases and prints the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=12)
     parser.add_argument("--seed", type=int, default=TUNING, help="of the first case; the others follow")
     parser.add_argument("--effect", help="this effect only, outside the library or of it; healthy rigs stay healthy")
+    parser.add_argument("--visible", action="store_true", help="judge only what shows, and healthy rigs")
     parser.add_argument("--threads", type=int, default=1, help="of each case; 0 for one per CPU")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side")
     parser.add_argument("--json", type=Path)
@@ -234,23 +249,20 @@ def main() -> None:
         parser.error("--continue needs --json with the file of an earlier run.")
     if given.seed < TUNING:
         print(f"Note: seeds below {TUNING} are for tuning; these figures flatter the result.")
-    settings = {"seed": given.seed, "effect": given.effect}
-    records = earlier(given.json, settings) if given.goes_on else []
-    done = {r["seed"] for r in records}
+    settings = {"seed": given.seed, "effect": given.effect, "visible": given.visible}
+    records, passed_over = earlier(given.json, settings) if given.goes_on else ([], [])
+    done = {*passed_over, *(r["seed"] for r in records)}
     seeds = [seed for seed in range(given.seed, given.seed + given.cases) if seed not in done]
     for number, record in enumerate(judged(seeds, given), start=1):
-        records = sorted([*records, record], key=lambda r: r["seed"])
-        found = record["proposal"]
-        text = record.get("error") or record["verdict"]
-        if found:
-            law = f"{found['curve'] or '-'} {found['kind']} {found['equation']}"
-            text += f"; {found['axis']}: {law} {found['floors'][0]:.3g} floors"
-        hidden = ", ".join(f"{h['effect']}.{h['place']}" for h in record["hidden"]) or "nothing"
-        print(f"[{number}/{len(seeds)}] {record['seed']} {hidden} ({record['visibility']:.1f} x floor) -> "
-              f"{text} [{record['seconds']:.0f} s]", flush=True)  # fmt: skip
+        if record.get("passed_over"):
+            passed_over = sorted([*passed_over, record["seed"]])
+            print(f"[{number}/{len(seeds)}] {record['seed']} does not show", flush=True)
+        else:
+            records = sorted([*records, record], key=lambda r: r["seed"])
+            print(f"[{number}/{len(seeds)}] {_line(record)}", flush=True)
         if given.json:
             measured = figures(records)
-            write(given.json, {**measured, **settings, "figures": measured, "cases": records})
+            write(given.json, {**measured, **settings, "figures": measured, "passed_over": passed_over, "cases": records})
     for key, value in figures(records).items():
         print(f"{key:30s}{value}")
 

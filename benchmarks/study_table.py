@@ -49,9 +49,10 @@ def page(content: dict[str, Any], later: bool = False) -> str:
     kinds = Counter(r["kind"] for r in records)
     counts = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in sorted(kinds.items()))
     study = "" if content["study"] == "drawn" else f" --study {content['study']}"
-    asked = records[-1]["seed"] - content["seed"] + 1
+    study += " --visible" if content.get("visible") else ""
+    asked = max([records[-1]["seed"], *content.get("passed_over", [])]) - content["seed"] + 1
     lines = [
-        f"{len(records)} cases of {content['date']}, seeds {_seeds(records)}: {counts}. In",
+        f"{len(records)} cases of {content['date']}, seeds {_seeds(content)}: {counts}. In",
         "brackets: how many cases speak to a figure. Intervals are of 95 %.",
         "",
         f"    python benchmarks/diagnosis.py --cases {asked} --seed {content['seed']}{study} "
@@ -69,11 +70,13 @@ def page(content: dict[str, Any], later: bool = False) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _seeds(records: Sequence[Record]) -> str:
-    """From the first to the last, and those between that were not run."""
-    run = [r["seed"] for r in records]
+def _seeds(content: dict[str, Any]) -> str:
+    """From the first to the last, those between that were not run, and how many of all do not show and were only drawn."""
+    drawn = content.get("passed_over", [])
+    run = sorted([*drawn, *(r["seed"] for r in content["cases"])])
     missing = sorted(set(range(run[0], run[-1])) - set(run))
-    return f"{run[0]} to {run[-1]}" + (f" without {', '.join(map(str, missing))}" if missing else "")
+    left_out = f" without {', '.join(map(str, missing))}" if missing else ""
+    return f"{run[0]} to {run[-1]}{left_out}" + (f", {len(drawn)} more that do not show" if drawn else "")
 
 
 def _cells(figure: Figure) -> str:
