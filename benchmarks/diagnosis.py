@@ -10,9 +10,9 @@ model's, and what is judged are bags. Seeds below 100000 are for tuning; a repor
 `--study old` takes the cases on the emulated testbed instead: one rig, three strengths. There seeds 9000 to 9999 were
 used to choose the diagnosis's numbers.
 
-With --visible a drawn case in which something is wrong is judged only if all of it shows at over 3 times the floor. That
-is known before anything is diagnosed. Rates of what shows and of healthy rigs mean the same; the probabilities' figures
-are then of those cases.
+With --visible a drawn case in which something is wrong is judged only if all of it shows at over 3 times the floor,
+which is known before anything is diagnosed. Rates of what shows and of healthy rigs mean the same; the figures of
+probabilities are then of those cases.
 
 An interrupted run keeps its results: the JSON file is rewritten after each case, and --continue resumes the run.
 With --scheduler each case is a task of a Dask cluster, whose machines have this repository at the same path.
@@ -168,7 +168,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=100_000, help="of the first case; the others follow")
     parser.add_argument("--study", choices=list(STUDIES), default="drawn")
     parser.add_argument("--rig", choices=list(PLANTS), help="this kind of rig only; drawn cases only")
-    parser.add_argument("--visible", action="store_true", help="judge only what shows, and healthy rigs; drawn cases only")
+    parser.add_argument("--visible", action="store_true", help="judge only what shows, and healthy rigs")
     parser.add_argument("--threads", type=int, default=0, help="of each case; 0 for one per CPU")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side; their seconds then mean little")
     parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers do the cases")

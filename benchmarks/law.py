@@ -262,7 +262,9 @@ def main() -> None:
             print(f"[{number}/{len(seeds)}] {_line(record)}", flush=True)
         if given.json:
             measured = figures(records)
-            write(given.json, {**measured, **settings, "figures": measured, "passed_over": passed_over, "cases": records})
+            write(given.json, {
+                **measured, **settings, "figures": measured, "passed_over": passed_over, "cases": records,
+            })  # fmt: skip
     for key, value in figures(records).items():
         print(f"{key:30s}{value}")
 

@@ -71,7 +71,7 @@ def page(content: dict[str, Any], later: bool = False) -> str:
 
 
 def _seeds(content: dict[str, Any]) -> str:
-    """From the first to the last, those between that were not run, and how many of all do not show and were only drawn."""
+    """From the first to the last, those between that were not run, and how many do not show and were only drawn."""
     drawn = content.get("passed_over", [])
     run = sorted([*drawn, *(r["seed"] for r in content["cases"])])
     missing = sorted(set(range(run[0], run[-1])) - set(run))
