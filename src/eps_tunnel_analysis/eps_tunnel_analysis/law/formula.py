@@ -21,9 +21,11 @@ from eps_tunnel_analysis.law.variables import (
     apart,
     commanded,
     followed,
+    has_command,
     in_waves,
     moving,
     periods,
+    sensors,
     swing,
     target,
 )
@@ -291,6 +293,22 @@ def command_dictionary(design: Design) -> list[Term]:
 
 def _in_ticks(motion: Motion, tick: float) -> Array:
     return _column(tick * np.round(target(motion) / tick) - target(motion))
+
+
+def dictionaries(
+    design: Design, positions: Sequence[str]
+) -> list[tuple[tuple[str, str], int | None, list[Term]]]:  # fmt: skip
+    """Each place where something may act, as `Dependence.acts` and as a number for `Design.columns`, and its terms.
+
+    Args:
+        positions: names of the axis's measured positions.
+    """
+    axis, signals = design.missing.axis, design.missing.signals
+    every: list[tuple[tuple[str, str], int | None, list[Term]]] = [((axis, "force"), None, dictionary(design))]
+    every += [((signals[n], "sensor"), n, sensor_dictionary(design)) for n in sensors(design, positions)]
+    if has_command(design):
+        every.append(((axis, "command"), COMMAND, command_dictionary(design)))
+    return every
 
 
 def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, seed: int = 0) -> list[Formula]:

@@ -29,12 +29,13 @@ def as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
     named, over = dependence.first, law.terms[0].term.over
     same = [d for d in dependence.dependences
             if d.named and d.over == over and d.acts == way.acts and not (d.pair or d.constant)]  # fmt: skip
-    if named is None or (named.over == over and named.acts == way.acts):
+    if named and named.over == over and named.acts == way.acts:
         return dependence
     first = max(same, key=lambda d: d.share, default=way)
-    if first is named:
-        return dependence
-    return replace(dependence, first=first, ties=(named, *(d for d in dependence.ties if d is not first)))
+    key = (first.variable, first.acts, first.period, first.pair)
+    every = tuple(first if (d.variable, d.acts, d.period, d.pair) == key else d for d in dependence.dependences)
+    ties = tuple(d for d in (named, *dependence.ties) if d and d is not first)
+    return replace(dependence, dependences=every, first=first, ties=ties)
 
 
 def refuted(dependence: Depends) -> Depends:

@@ -24,15 +24,7 @@ from eps_tunnel_analysis.diagnose.verdict import percent
 from eps_tunnel_analysis.law.depends import Dependence, Depends, depends
 from eps_tunnel_analysis.law.design import COMMAND, Design, Predictor, half_widths
 from eps_tunnel_analysis.law.effect_file import NAME, declared, effect_file, equation_of, prefixes, seen_mark
-from eps_tunnel_analysis.law.formula import (
-    Chosen,
-    Formula,
-    Term,
-    command_dictionary,
-    dictionary,
-    formulas,
-    sensor_dictionary,
-)
+from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionaries, formulas
 from eps_tunnel_analysis.law.missing_force import (
     MissingForce,
     MissingOffset,
@@ -42,6 +34,7 @@ from eps_tunnel_analysis.law.missing_force import (
 )
 from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_period
 from eps_tunnel_analysis.law.refit import Visit, floors_on, visit
+from eps_tunnel_analysis.law.single_terms import single_terms
 from eps_tunnel_analysis.law.variables import OVER_SPEED, knots_of, sensors, variables
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.sequence import Command
@@ -306,30 +299,30 @@ def propose(
     shows = visit(model, part.name, first or dependence.dependences[0], motions)
     offsets = tuple(missing_offset(missing, number) for number in sensors(design, positions))
     trials = trial_offsets(plays, positions)
-    if first is None:
-        return Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
-                        trials=trials)  # fmt: skip
     spans = visited(motions)
     spans |= {"curve_sensor": spans["curve_angle"], "curve_sensor_speed": spans["curve_speed"]}
-    table, band = _curve(design, positions, spans, first)
-    bare = Proposal(part.name, first.place, missing, dependence, nothing, base=model, curve=table, curve_band=band,
-                    visit=shows, offsets=offsets, trials=trials)  # fmt: skip
+    table, band = _curve(design, positions, spans, first) if first else ((), ())
+    bare = Proposal(part.name, first.place if first else part.name, missing, dependence, nothing, base=model,
+                    curve=table, curve_band=band, visit=shows, offsets=offsets, trials=trials)  # fmt: skip
     run = SearchOptions((), nthread)
+    words = {acts: (place, terms) for acts, place, terms in dictionaries(design, positions)}
+
+    def attempts(laws: Sequence[Formula], way: Dependence) -> list[_Attempt]:
+        refitted = (_formula_refitted(law, way, model, plays, part, run) for law in laws)
+        return [attempt for attempt in refitted if not runs_away(attempt.model, shows.command, nthread)]
+
     tried: list[_Attempt] = []
-    terms = 0
+    places = {way.acts for way in ways(dependence)}
     for way in ways(dependence):
-        place, words = _where(design, way)
-        terms += len(words)
-        for law in formulas(design, words, place, seed):
-            effect = declared(effect_file(law.terms))
-            lib = _library(model, part, effect, way.place)
-            named = zip(law.terms, prefixes(law.terms), strict=True)
-            start = {f"{NAME}.{way.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
-            attempt = _refitted("formula", law, lib, plays, part, run, start, way)
-            if not runs_away(attempt.model, shows.command, nthread):
-                tried.append(attempt)
+        place, terms = words[way.acts]
+        tried += attempts(formulas(design, terms, place, seed), way)
     best = _best(tried)
-    if not first.of_command and (best is None or best.refit.held_out > SETTINGS.law_complete):
+    if best is None or len(best.law.terms) > 1 or best.refit.held_out > SETTINGS.law_complete:
+        places = set(words)
+        for way, law in single_terms(design, dependence, model, plays, part, positions, nthread, seed):
+            tried += attempts([law], way)
+    best = _best(tried)
+    if first and not first.of_command and (best is None or best.refit.held_out > SETTINGS.law_complete):
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {
             f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, (w for _, w in table), strict=True)
@@ -357,20 +350,11 @@ def propose(
         dependence = _decided(with_period(proposed, law, ratios(model.rig, part.name)), tried, best)
     return replace(
         bare, place=best.way.place, kind=best.kind, effect=best.effect, text=text,
-        equation=equation_of(law.terms) if best.kind == "formula" else effects()[first.curve].equation,
+        equation=equation_of(law.terms) if best.kind == "formula" else effects()[best.way.curve].equation,
         refit=best.refit, base_held_out=before.cost, model=best.model, depends=dependence, formula=law,
-        ranked=_ranked(best, before, plays, terms, beside),
+        ranked=_ranked(best, before, plays, sum(len(words[acts][1]) for acts in places), beside),
         left=missing_force(best.model, plays, part, nthread, passes=1),
     )  # fmt: skip
-
-
-def _where(design: Design, way: Dependence) -> tuple[int | None, list[Term]]:
-    """Where something acts, as a number for `Design.columns`, and the dictionary for it."""
-    if way.of_command:
-        return COMMAND, command_dictionary(design)
-    if way.of_sensor:
-        return list(design.missing.signals).index(way.place), sensor_dictionary(design)
-    return None, dictionary(design)
 
 
 def _curve(
@@ -393,11 +377,11 @@ def _curve(
     return table, tuple(half_widths(about, columns).tolist())
 
 
-def _words(attempt: _Attempt, first: Dependence) -> str:
+def _words(attempt: _Attempt, first: Dependence | None) -> str:
     """Its equation, and where it acts if that is elsewhere than what was named."""
     words, (place, what) = equation_of(attempt.law.terms), attempt.way.acts
     acts = {"sensor": "read by", "command": "in the command of", "force": "on"}[what]
-    return words if (place, what) == first.acts else f"{words}, {acts} {place}"
+    return words if first and (place, what) == first.acts else f"{words}, {acts} {place}"
 
 
 def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
@@ -451,11 +435,14 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
 
 
 def _decided(dependence: Depends, tried: Sequence[_Attempt], best: _Attempt) -> Depends:
-    """Without what acts elsewhere and leaves clearly more in roll-outs."""
-    judged = [t for t in tried if np.isfinite(t.refit.held_out)]
+    """Without what acts elsewhere, or is over something else, and leaves clearly more in roll-outs."""
+    judged = [(t.way.acts, t.law.terms[0].term.over, t.refit.held_out) for t in tried]
+    judged = [one for one in judged if np.isfinite(one[2])]
     enough = SETTINGS.law_as_good * best.refit.held_out
-    more = {t.way.acts for t in judged} - {t.way.acts for t in judged if t.refit.held_out <= enough}
-    return replace(dependence, ties=tuple(d for d in dependence.ties if d.acts not in more))
+    more = {acts for acts, _, _ in judged} - {acts for acts, _, left in judged if left <= enough}
+    over = {one[:2] for one in judged} - {one[:2] for one in judged if one[2] <= enough}
+    ties = (d for d in dependence.ties if d.acts not in more and (d.acts, d.over) not in over)
+    return replace(dependence, ties=tuple(ties))
 
 
 def confirmed(proposal: Proposal, plays: Sequence[Play], nthread: int = 0) -> Proposal:
@@ -512,6 +499,16 @@ def ratios(rig: Rig, axis: str) -> dict[str, float]:
 def _library(model: Model, part: AxisPart, effect: Effect, place: str) -> Library:
     off = model.with_effect(effect, place, effect.off, "switched off")
     return Library(off, part.base, (candidate(off, effect, place),), part.rough)
+
+
+def _formula_refitted(
+    law: Formula, way: Dependence, model: Model, plays: Sequence[Play], part: AxisPart, run: SearchOptions
+) -> _Attempt:
+    """A formula in roll-outs, from the numbers that it has."""
+    lib = _library(model, part, declared(effect_file(law.terms)), way.place)
+    named = zip(law.terms, prefixes(law.terms), strict=True)
+    start = {f"{NAME}.{way.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
+    return _refitted("formula", law, lib, plays, part, run, start, way)
 
 
 def _refitted(

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every term of the dictionaries by itself, in roll-outs that begin at many of its values; and one more on the best.
+
+The linear problem is rough where base values make up for most of what is missing, or where an axis sticks: a term may
+explain nothing there, and nearly all once the base values are refitted together with it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.axis import hypothesis
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, search_of
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate
+from eps_tunnel_analysis.diagnose.refits import Job, Refit
+from eps_tunnel_analysis.diagnose.search import Search
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.law.depends import Dependence, Depends
+from eps_tunnel_analysis.law.design import Design, Explained
+from eps_tunnel_analysis.law.effect_file import declared, effect_file, prefixes
+from eps_tunnel_analysis.law.formula import Chosen, Formula, Number, Term, dictionaries
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.model import Model
+
+FARTHEST = 10.0  # times its typical size or shape, of what a term may be
+OF_MOTION = 0.03  # of the range of angles: the typical size of an error of a sensor or of the command
+DESCENDED = 8  # terms that are descended: those that promise most to first order
+ROUNDS = 10  # of descent
+KEPT = 3
+
+
+def single_terms(
+    design: Design, dependence: Depends, model: Model, plays: Sequence[Play], part: AxisPart,
+    positions: Sequence[str], nthread: int = 0, seed: int = 0,
+) -> list[tuple[Dependence, Formula]]:  # fmt: skip
+    """Formulas of one term that leave least in roll-outs, and explain more than chance does of what they are over; and
+    of two where one leaves much.
+
+    Waves are left out: the linear problem finds their period, and roll-outs from a wrong one do not.
+
+    Args:
+        model: without them, its values refitted.
+        positions: names of the axis's measured positions.
+    """
+    every = list(_terms(design, dependence, positions))
+    library = _library(model, part, every)
+    owner = dict(zip((c.name for c in library.candidates), every, strict=True))
+    search = search_of(library, plays, part, SearchOptions((), nthread))
+    base = search.refit([((), search.start)], 1)[0]
+    alone = _descended(search, base, library.candidates)
+    if not alone:
+        return []
+    here = [c for c in library.candidates if owner[c.name][0].acts == owner[alone[0].effects[0]][0].acts]
+    more = _descended(search, alone[0], here) if alone[0].cost > SETTINGS.law_complete else []
+    laws = []
+    for refit in [*alone[:KEPT], *more[:1]]:
+        explained = _explained(search, base, refit)
+        ways = [owner[name][0] for name in refit.effects]
+        if explained.share > ways[0].chance:
+            share, interval = explained.share, explained.interval(seed)
+            terms = tuple(_fitted(owner[name][1], name, refit, library) for name in refit.effects)
+            laws.append((replace(ways[0], share=share, interval=interval, named=True), Formula(terms, share, interval)))
+    return laws
+
+
+def _descended(search: Search, begun: Refit, candidates: Sequence[Candidate]) -> list[Refit]:
+    """Refits with one more term than one has, best first, of those that promise most to first order."""
+    jobs: dict[str, Job] = {}
+    for point in search.trial_points([begun], candidates):
+        added = (*search.library.of(begun.effects), point.candidate)
+        jobs.setdefault(point.candidate.name, (added, point.values))
+    return search.best_of(list(jobs.values())[:DESCENDED], ROUNDS)
+
+
+def _fitted(chosen: Chosen, name: str, refit: Refit, library: Library) -> Chosen:
+    """A term with the numbers of a refit, in which it is the effect of this name."""
+    values = dict(zip(library.names, refit.values, strict=True))
+    prefix = f"{name}.{prefixes([chosen])[0]}_"
+    return replace(chosen, values={n.name: float(values[prefix + n.name]) for n in chosen.term.numbers})
+
+
+def _explained(search: Search, base: Refit, refit: Refit) -> Explained:
+    """What a term explains of the base's misfit on stretches of time that were left out."""
+    left = [np.bincount(search.folds, hypothesis(search, r).left_out ** 2) for r in (base, refit)]
+    without, with_it = (float(squares.sum()) for squares in left)
+    fall = (without - with_it) / len(search.used)
+    return Explained(1.0 - with_it / without, np.column_stack(left), np.empty(0), fall)
+
+
+def _library(model: Model, part: AxisPart, terms: Sequence[tuple[Dependence, Chosen]]) -> Library:
+    """Every term as an effect of its own, switched off."""
+    every = []
+    for i, (way, chosen) in enumerate(terms):
+        effect = declared(effect_file([chosen]))
+        effect = replace(effect, name=f"{effect.name}_{i}")
+        model = model.with_effect(effect, way.place, effect.off, "switched off")
+        every.append((effect, way.place))
+    return Library(model, part.base, tuple(candidate(model, *each) for each in every), part.rough)
+
+
+def _terms(design: Design, dependence: Depends, positions: Sequence[str]) -> Iterator[tuple[Dependence, Chosen]]:
+    """Every term that is no wave, of a typical size, with what it is over."""
+    error = OF_MOTION * max(float(np.ptp(p.motion.angle)) for p in design.plays)
+    for acts, number, terms in dictionaries(design, positions):
+        size = design.missing.size if number is None else error
+        motions = [p.motion for p in design.at(number).plays]
+        for term in terms:
+            way = _way(dependence, acts, term)
+            if way is None or "period" in [n.name for n in term.numbers]:
+                continue
+            shape = term.shape[len(term.shape) // 2] if term.shape else 0.0
+            moves = np.concatenate([term.columns(m, shape) for m in motions])
+            yield way, _typical(term, shape, size / max(float(np.sqrt(np.mean(moves**2))), 1e-12))
+
+
+def _way(dependence: Depends, acts: tuple[str, str], term: Term) -> Dependence | None:
+    """What a term that acts somewhere is over; None of a constant, which is found if the linear problem names it."""
+    there = [d for d in dependence.dependences if d.acts == acts and not (d.pair or d.constant)]
+    same = [d for d in there if d.over == term.over and (not d.late or term.acts == f"target_{d.late}")]
+    return max(same or (there if term.over else ()), key=lambda d: d.share, default=None)
+
+
+def _typical(term: Term, shape: float, size: float) -> Chosen:
+    """A term of a typical size and shape, with room to either side."""
+    values = {}
+    for number in term.numbers:
+        shapes = not number.switches or (term.shape and len(term.numbers) == 1)
+        begins = number.begins if np.isfinite(number.begins) else shape
+        values[number.name] = begins if shapes else min(size, number.most)
+    numbers = tuple(_roomy(n) for n in term.numbers)
+    return Chosen(replace(term, numbers=numbers), values)
+
+
+def _roomy(number: Number) -> Number:
+    return replace(number, times=max(number.times, FARTHEST))
