@@ -24,10 +24,12 @@ from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 
 FARTHEST = 10.0  # times its typical size or shape, of what a term may be
+OF_LOAD = 0.1  # of the drive's load, root mean square: the typical size of a force, where less is missing
 OF_MOTION = 0.03  # of the range of angles: the typical size of an error of a sensor or of the command
 DESCENDED = 8  # terms that are descended: those that promise most to first order
 ROUNDS = 10  # of descent
 KEPT = 3
+STANDS_FOR = ("command", "direction")  # variables that are tried as forces, but that no term of a force is over
 
 
 def single_terms(
@@ -102,8 +104,10 @@ def _library(model: Model, part: AxisPart, terms: Sequence[tuple[Dependence, Cho
 def _terms(design: Design, dependence: Depends, positions: Sequence[str]) -> Iterator[tuple[Dependence, Chosen]]:
     """Every term that is no wave, of a typical size, with what it is over."""
     error = OF_MOTION * max(float(np.ptp(p.motion.angle)) for p in design.plays)
+    loads = np.concatenate([p.motion.load for p in design.plays])
+    force = max(design.missing.size, OF_LOAD * float(np.sqrt(np.mean(loads**2))))
     for acts, number, terms in dictionaries(design, positions):
-        size = design.missing.size if number is None else error
+        size = force if number is None else error
         motions = [p.motion for p in design.at(number).plays]
         for term in terms:
             way = _way(dependence, acts, term)
@@ -116,7 +120,8 @@ def _terms(design: Design, dependence: Depends, positions: Sequence[str]) -> Ite
 
 def _way(dependence: Depends, acts: tuple[str, str], term: Term) -> Dependence | None:
     """What a term that acts somewhere is over; None of a constant, which is found if the linear problem names it."""
-    there = [d for d in dependence.dependences if d.acts == acts and not (d.pair or d.constant)]
+    there = [d for d in dependence.dependences
+             if d.acts == acts and not (d.pair or d.constant) and d.variable not in STANDS_FOR]  # fmt: skip
     same = [d for d in there if d.over == term.over and (not d.late or term.acts == f"target_{d.late}")]
     return max(same or (there if term.over else ()), key=lambda d: d.share, default=None)
 

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terms tried by themselves in roll-outs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart
+from eps_tunnel_analysis.law.depends import Depends, depends
+from eps_tunnel_analysis.law.design import Design
+from eps_tunnel_analysis.law.missing_force import missing_force
+from eps_tunnel_analysis.law.single_terms import single_terms
+from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.model import Model, load_model
+from labyrinth_sim.simulate import simulate
+from labyrinth_sim.trials import Trials
+
+MORE = 0.03  # N m of dry friction, that the rig has and the model does not
+SECONDS = 4.0
+PART = AxisPart(("pendulum",), ("pendulum",), ("viscous_friction.pendulum.damping",))
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    """One whose viscous friction makes up for a part of what is missing."""
+    return load_model("pendulum").with_values({"viscous_friction.pendulum.damping": 0.03}, "refitted")
+
+
+@pytest.fixture(scope="module")
+def play() -> Play:
+    rig = load_model("pendulum").with_values({"coulomb_friction.pendulum.torque": 0.02 + MORE}, "the rig's own")
+    t = np.arange(round(SECONDS / 0.01) + 1) * 0.01
+    command = (np.sin(2 * np.pi * 0.4 * t) + 0.4 * np.sin(2 * np.pi * 1.1 * t))[:, None]
+    clean = simulate(rig, t, command)
+    values = clean.values + 1e-3 * np.random.default_rng(1).normal(size=(3, *clean.values.shape[1:]))
+    block = np.repeat(command[None], 3, axis=0)
+    return Play("sines", Trials(clean.time, clean.signals, clean.units, values, clean.command_channels, block))
+
+
+@pytest.fixture(scope="module")
+def design(model: Model, play: Play) -> Design:
+    return Design.of(missing_force(model, [play], PART, 1, commanded=True))
+
+
+@pytest.fixture(scope="module")
+def dependence(design: Design) -> Depends:
+    return depends(design, ["pendulum"], 0)
+
+
+def test_the_term_that_is_missing_leaves_least_and_its_variable_is_named(
+    design: Design, dependence: Depends, model: Model, play: Play
+) -> None:
+    """Even where the linear problem names nothing."""
+    unnamed = replace(dependence, first=None, ties=(), dependences=tuple(replace(d, named=False) for d in dependence.dependences))  # fmt: skip
+    (way, law), *others = single_terms(design, unnamed, model, [play], PART, ["pendulum"], nthread=1)
+    assert (way.variable, way.acts, way.named) == ("speed", ("pendulum", "force"), True)
+    assert way.share == law.share > 0.9 and law.interval[0] > 0.8
+    names = [c.term.name for c in law.terms]
+    assert names == ["friction"] or names == ["stribeck"]
+    assert law.terms[0].values["size"] == pytest.approx(MORE, rel=0.1)
+    assert all(other.share <= law.share + 0.01 for _, other in others)
+
+
+def test_what_explains_no_more_than_chance_is_no_formula(
+    design: Design, dependence: Depends, model: Model, play: Play
+) -> None:
+    by_chance = replace(dependence, dependences=tuple(replace(d, chance=1.0) for d in dependence.dependences))
+    assert single_terms(design, by_chance, model, [play], PART, ["pendulum"], nthread=1) == []
