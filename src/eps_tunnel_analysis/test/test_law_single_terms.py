@@ -52,7 +52,8 @@ def test_the_term_that_is_missing_leaves_least_and_its_variable_is_named(
     design: Design, dependence: Depends, model: Model, play: Play
 ) -> None:
     """Even where the linear problem names nothing."""
-    unnamed = replace(dependence, first=None, ties=(), dependences=tuple(replace(d, named=False) for d in dependence.dependences))  # fmt: skip
+    known = tuple(replace(d, named=False) for d in dependence.dependences)
+    unnamed = replace(dependence, first=None, ties=(), dependences=known)
     (way, law), *others = single_terms(design, unnamed, model, [play], PART, ["pendulum"], nthread=1)
     assert (way.variable, way.acts, way.named) == ("speed", ("pendulum", "force"), True)
     assert way.share == law.share > 0.9 and law.interval[0] > 0.8
