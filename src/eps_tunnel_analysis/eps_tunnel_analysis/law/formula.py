@@ -335,7 +335,7 @@ def formulas(design: Design, terms: Sequence[Term], signal: int | None = None, s
             for term in terms:
                 if any(term is other and (term.once or not term.shape) for other, _ in begun.chosen):
                     continue
-                shape, share = _best_shape(design, predictor, term, signal, known)
+                shape, share = best_shape(design, predictor, term, signal, known)
                 scored.append((share - SIMPLER * len(term.numbers), term, shape))
             for _, term, shape in sorted(scored, key=lambda one: -one[0])[:BEAM]:
                 more = np.hstack([begun.columns, _columns(design, term, shape, signal)])
@@ -387,7 +387,7 @@ def _columns(design: Design, term: Term, shape: float, signal: int | None) -> Ar
     return design.columns(rows, signal)
 
 
-def _best_shape(
+def best_shape(
     design: Design, predictor: Predictor, term: Term, signal: int | None, known: dict[tuple[str, float], Array]
 ) -> tuple[float, float]:
     """The value that shapes a term best, and the share that it explains then; `known` keeps columns tried before."""

@@ -17,9 +17,9 @@ from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.depends import Dependence, Depends
-from eps_tunnel_analysis.law.design import Design, Explained
+from eps_tunnel_analysis.law.design import Design, Explained, Predictor
 from eps_tunnel_analysis.law.effect_file import declared, effect_file, prefixes
-from eps_tunnel_analysis.law.formula import Chosen, Formula, Number, Term, dictionaries
+from eps_tunnel_analysis.law.formula import Chosen, Formula, Number, Term, best_shape, dictionaries
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 
@@ -48,15 +48,20 @@ def single_terms(
     every = list(_terms(design, dependence, positions))
     library = _library(model, part, every)
     owner = dict(zip((c.name for c in library.candidates), every, strict=True))
+
+    def acts(refit: Refit) -> tuple[str, str]:
+        return owner[refit.effects[0]][0].acts
+
     search = search_of(library, plays, part, SearchOptions((), nthread))
     base = search.refit([((), search.start)], 1)[0]
-    alone = _descended(search, base, library.candidates)
-    if not alone:
-        return []
-    here = [c for c in library.candidates if owner[c.name][0].acts == owner[alone[0].effects[0]][0].acts]
-    more = _descended(search, alone[0], here) if alone[0].cost > SETTINGS.law_complete else []
+    alone = _descended(search, [base], library.candidates)[:KEPT]
+    best = [refit for refit in alone if acts(refit) == acts(alone[0])]
+    more: list[Refit] = []
+    if best and best[0].cost > SETTINGS.law_complete:
+        here = [c for c in library.candidates if owner[c.name][0].acts == acts(best[0])]
+        more = _descended(search, best, here)[:KEPT]
     laws = []
-    for refit in [*alone[:KEPT], *more[:1]]:
+    for refit in [*alone, *more]:
         explained = _explained(search, base, refit)
         ways = [owner[name][0] for name in refit.effects]
         if explained.share > ways[0].chance:
@@ -66,13 +71,17 @@ def single_terms(
     return laws
 
 
-def _descended(search: Search, begun: Refit, candidates: Sequence[Candidate]) -> list[Refit]:
-    """Refits with one more term than one has, best first, of those that promise most to first order."""
-    jobs: dict[str, Job] = {}
-    for point in search.trial_points([begun], candidates):
-        added = (*search.library.of(begun.effects), point.candidate)
-        jobs.setdefault(point.candidate.name, (added, point.values))
-    return search.best_of(list(jobs.values())[:DESCENDED], ROUNDS)
+def _descended(search: Search, begun: Sequence[Refit], candidates: Sequence[Candidate]) -> list[Refit]:
+    """Refits with one more term than any of some has, best first, of those that promise most to first order."""
+    promised: dict[frozenset[str], tuple[float, Job]] = {}
+    for refit in begun:
+        for point in search.trial_points([refit], candidates):
+            added = (*search.library.of(refit.effects), point.candidate)
+            key = frozenset(c.name for c in added)
+            if key not in promised or point.promised < promised[key][0]:
+                promised[key] = point.promised, (added, point.values)
+    most = sorted(promised.values(), key=lambda one: one[0])[:DESCENDED]
+    return search.best_of([job for _, job in most], ROUNDS)
 
 
 def _fitted(chosen: Chosen, name: str, refit: Refit, library: Library) -> Chosen:
@@ -102,18 +111,21 @@ def _library(model: Model, part: AxisPart, terms: Sequence[tuple[Dependence, Cho
 
 
 def _terms(design: Design, dependence: Depends, positions: Sequence[str]) -> Iterator[tuple[Dependence, Chosen]]:
-    """Every term that is no wave, of a typical size, with what it is over."""
+    """Every term that is no wave, of a typical size and the shape that is best in the linear problem, with what it is
+    over.
+    """
     error = OF_MOTION * max(float(np.ptp(p.motion.angle)) for p in design.plays)
     loads = np.concatenate([p.motion.load for p in design.plays])
     force = max(design.missing.size, OF_LOAD * float(np.sqrt(np.mean(loads**2))))
     for acts, number, terms in dictionaries(design, positions):
         size = force if number is None else error
-        motions = [p.motion for p in design.at(number).plays]
+        about = design.at(number)
+        linear, motions = Predictor(about), [p.motion for p in about.plays]
         for term in terms:
             way = _way(dependence, acts, term)
             if way is None or "period" in [n.name for n in term.numbers]:
                 continue
-            shape = term.shape[len(term.shape) // 2] if term.shape else 0.0
+            shape, _ = best_shape(about, linear, term, number, {})
             moves = np.concatenate([term.columns(m, shape) for m in motions])
             yield way, _typical(term, shape, size / max(float(np.sqrt(np.mean(moves**2))), 1e-12))
 
