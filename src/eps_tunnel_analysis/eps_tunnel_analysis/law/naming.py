@@ -32,8 +32,11 @@ def as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
     if named and named.over == over and named.acts == way.acts:
         return dependence
     first = max(same, key=lambda d: d.share, default=way)
-    key = (first.variable, first.acts, first.period, first.pair)
-    every = tuple(first if (d.variable, d.acts, d.period, d.pair) == key else d for d in dependence.dependences)
+    if first in dependence.dependences:
+        every = dependence.dependences
+    else:  # roll-outs gave it a share of its own
+        key = (first.variable, first.acts, first.period)
+        every = (first, *(d for d in dependence.dependences if (d.variable, d.acts, d.period) != key))
     ties = tuple(d for d in (named, *dependence.ties) if d and d is not first)
     return replace(dependence, dependences=every, first=first, ties=ties)
 

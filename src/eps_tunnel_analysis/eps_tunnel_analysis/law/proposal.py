@@ -317,7 +317,7 @@ def propose(
         place, terms = words[way.acts]
         tried += attempts(formulas(design, terms, place, seed), way)
     best = _best(tried)
-    if best is None or len(best.law.terms) > 1 or best.refit.held_out > SETTINGS.law_complete:
+    if best is None or best.refit.held_out > SETTINGS.law_complete:
         places = set(words)
         for way, law in single_terms(design, dependence, model, plays, part, positions, nthread, seed):
             tried += attempts([law], way)
