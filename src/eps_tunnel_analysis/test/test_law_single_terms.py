@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
-from eps_tunnel_analysis.law.depends import Depends, depends
+from eps_tunnel_analysis.law.depends import depends
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.law.single_terms import single_terms
@@ -17,7 +17,7 @@ from labyrinth_sim.simulate import simulate
 from labyrinth_sim.trials import Trials
 
 MORE = 0.03  # N m of dry friction, that the rig has and the model does not
-SECONDS = 4.0
+SECONDS = 3.0
 PART = AxisPart(("pendulum",), ("pendulum",), ("viscous_friction.pendulum.damping",))
 
 
@@ -38,33 +38,15 @@ def play() -> Play:
     return Play("sines", Trials(clean.time, clean.signals, clean.units, values, clean.command_channels, block))
 
 
-@pytest.fixture(scope="module")
-def design(model: Model, play: Play) -> Design:
-    return Design.of(missing_force(model, [play], PART, 1, commanded=True))
-
-
-@pytest.fixture(scope="module")
-def dependence(design: Design) -> Depends:
-    return depends(design, ["pendulum"], 0)
-
-
-def test_the_term_that_is_missing_leaves_least_and_its_variable_is_named(
-    design: Design, dependence: Depends, model: Model, play: Play
-) -> None:
-    """Even where the linear problem names nothing."""
-    known = tuple(replace(d, named=False) for d in dependence.dependences)
-    unnamed = replace(dependence, first=None, ties=(), dependences=known)
+def test_the_term_that_is_missing_leaves_least_where_the_linear_problem_names_nothing(model: Model, play: Play) -> None:
+    """Of the others nothing is said: each explains less than chance here."""
+    design = Design.of(missing_force(model, [play], PART, 1, commanded=True))
+    known = depends(design, ["pendulum"], 0)
+    everywhere = (replace(d, named=False, chance=0.5 if d.variable == "speed" else 1.0) for d in known.dependences)
+    unnamed = replace(known, first=None, ties=(), dependences=tuple(everywhere))
     (way, law), *others = single_terms(design, unnamed, model, [play], PART, ["pendulum"], nthread=1)
     assert (way.variable, way.acts, way.named) == ("speed", ("pendulum", "force"), True)
     assert way.share == law.share > 0.9 and law.interval[0] > 0.8
-    names = [c.term.name for c in law.terms]
-    assert names == ["friction"] or names == ["stribeck"]
+    assert law.terms[0].term.name in ("friction", "stribeck")
     assert law.terms[0].values["size"] == pytest.approx(MORE, rel=0.1)
-    assert all(other.share <= law.share + 0.01 for _, other in others)
-
-
-def test_what_explains_no_more_than_chance_is_no_formula(
-    design: Design, dependence: Depends, model: Model, play: Play
-) -> None:
-    by_chance = replace(dependence, dependences=tuple(replace(d, chance=1.0) for d in dependence.dependences))
-    assert single_terms(design, by_chance, model, [play], PART, ["pendulum"], nthread=1) == []
+    assert {other.variable for other, _ in others} <= {"speed"}
