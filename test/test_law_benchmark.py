@@ -3,13 +3,16 @@
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import diagnosis
 import law
 from drawn_rigs.cases import draw
 from drawn_rigs.reading import Dependence, floors_on, loaded
@@ -86,6 +89,33 @@ def test_the_file_has_each_key_at_its_top_with_count_and_interval(tmp_path, monk
         assert {key, f"{key}_n", f"{key}_interval"} <= set(content)
         assert content[key] == content["figures"][key]
     assert content["variable_right_n"] == 1 and content["seed"] == 100_000
+
+
+def test_what_does_not_show_is_drawn_and_passed_over_and_not_drawn_again(tmp_path, monkeypatch):
+    shows = {100_001: 2.9, 100_002: 3.1}
+
+    def drawn(seed, folder, **chosen):
+        hidden = SimpleNamespace(visibility=shows[seed])
+        return SimpleNamespace(hidden=(hidden,), to_json=lambda: case(visibility=shows[seed]) | {"seed": seed})
+
+    for benchmark, judge in (
+        (law, partial(law.judge, effect=None)),
+        (diagnosis, partial(diagnosis.judge_drawn, rig=None)),
+    ):
+        monkeypatch.setattr(benchmark, "draw", lambda seed, folder, *rig, **chosen: drawn(seed, folder))
+        assert judge(100_001, threads=1, visible=True) == {"seed": 100_001, "passed_over": True}
+    monkeypatch.setattr(law, "_said", lambda case, threads: {"proposal": None, "verdict": "unknown"})
+    out = tmp_path / "out.json"
+    monkeypatch.setattr(sys, "argv", f"law.py --cases 2 --seed 100001 --visible --json {out}".split())
+    law.main()
+    content = json.loads(out.read_text())
+    assert content["passed_over"] == [100_001] and [r["seed"] for r in content["cases"]] == [100_002]
+    shows.clear()
+    monkeypatch.setattr(sys, "argv", [*sys.argv, "--continue"])
+    law.main()
+    with pytest.raises(SystemExit, match="visible"):
+        monkeypatch.setattr(sys, "argv", f"law.py --cases 2 --seed 100001 --json {out} --continue".split())
+        law.main()
 
 
 def test_a_true_form_can_be_added_to_a_model_and_is_none_where_there_is_none():
