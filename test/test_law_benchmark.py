@@ -98,10 +98,8 @@ def test_what_does_not_show_is_drawn_and_passed_over_and_not_drawn_again(tmp_pat
         hidden = SimpleNamespace(visibility=shows[seed])
         return SimpleNamespace(hidden=(hidden,), to_json=lambda: case(visibility=shows[seed]) | {"seed": seed})
 
-    for benchmark, judge in (
-        (law, partial(law.judge, effect=None)),
-        (diagnosis, partial(diagnosis.judge_drawn, rig=None)),
-    ):
+    judges = {law: partial(law.judge, effect=None), diagnosis: partial(diagnosis.judge_drawn, rig=None)}
+    for benchmark, judge in judges.items():
         monkeypatch.setattr(benchmark, "draw", lambda seed, folder, *rig, **chosen: drawn(seed, folder))
         assert judge(100_001, threads=1, visible=True) == {"seed": 100_001, "passed_over": True}
     monkeypatch.setattr(law, "_said", lambda case, threads: {"proposal": None, "verdict": "unknown"})
@@ -113,8 +111,8 @@ def test_what_does_not_show_is_drawn_and_passed_over_and_not_drawn_again(tmp_pat
     shows.clear()
     monkeypatch.setattr(sys, "argv", [*sys.argv, "--continue"])
     law.main()
+    monkeypatch.setattr(sys, "argv", [word for word in sys.argv if word != "--visible"])
     with pytest.raises(SystemExit, match="visible"):
-        monkeypatch.setattr(sys, "argv", f"law.py --cases 2 --seed 100001 --json {out} --continue".split())
         law.main()
 
 
