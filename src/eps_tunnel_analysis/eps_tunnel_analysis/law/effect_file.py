@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The effect file of a formula: its terms as parameters with units and bounds, a mark, and a compiled law."""
 
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -57,7 +58,6 @@ MISTAKEN = {
     "target_limit": ("rate_limit", "torque_saturation"),
     "target_profile": ("motion_profile", "command_delay"),
 }
-FILTER_NAMES = ("Chain", "Delay", "Lag", "Map", "Play", "Profile", "RateLimit", "Swing", "rounded")
 FILTERS = {
     "target": "Map(lambda target: target + {sum})",
     "stepped_target": "Map(lambda target: rounded(target, {sum}))",
@@ -74,6 +74,8 @@ FILTERS = {
 """What a term of a sensor or the command acts as -> the filter that it is, with the sum of such terms; in the order of
 the rig.
 """
+FILTER_NAMES = sorted({"Chain", *re.findall(r"\b([A-Z]\w+|rounded)\(", " ".join(FILTERS.values()))})
+"""What a file may import for them."""
 
 
 def prefixes(terms: Sequence[Chosen]) -> list[str]:
