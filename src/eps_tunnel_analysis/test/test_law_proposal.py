@@ -267,10 +267,11 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     assert as_proposed(found, chosen, speed).first == load and as_proposed(found, chosen, speed).ties == (speed,)
     chance = replace(found, dependences=(replace(load, named=False), speed))
     assert as_proposed(chance, chosen, speed).first == speed
-    # What roll-outs found where the linear problem names nothing stands first, with its share there.
+    # What roll-outs found and the linear problem does not name stands first, with its share in roll-outs.
     own = replace(load, share=0.9)
-    by_roll_outs = as_proposed(Depends((speed, replace(load, named=False))), chosen, own)
-    assert by_roll_outs == Depends((own, speed), own)
+    by_roll_outs = as_proposed(Depends((speed, replace(load, named=False)), speed), chosen, own)
+    assert by_roll_outs == Depends((own, speed), own, (speed,))
+    assert as_proposed(Depends((load,)), chosen, own).first is None
     # A sensor may have the name of the axis.
     read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
     tied = replace(found, ties=(load, read))

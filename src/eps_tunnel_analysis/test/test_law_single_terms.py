@@ -38,8 +38,10 @@ def play() -> Play:
     return Play("sines", Trials(clean.time, clean.signals, clean.units, values, clean.command_channels, block))
 
 
-def test_the_term_that_is_missing_leaves_least_where_the_linear_problem_names_nothing(model: Model, play: Play) -> None:
-    """Of the others nothing is said: each explains less than chance here."""
+def test_the_term_that_is_missing_leaves_least_and_is_named_where_the_linear_problem_does_not(
+    model: Model, play: Play
+) -> None:
+    """Of other variables nothing is said: each explains less than chance here."""
     design = Design.of(missing_force(model, [play], PART, 1, commanded=True))
     known = depends(design, ["pendulum"], 0)
     everywhere = (replace(d, named=False, chance=0.5 if d.variable == "speed" else 1.0) for d in known.dependences)

@@ -29,7 +29,7 @@ def as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
     named, over = dependence.first, law.terms[0].term.over
     same = [d for d in dependence.dependences
             if d.named and d.over == over and d.acts == way.acts and not (d.pair or d.constant)]  # fmt: skip
-    if named and named.over == over and named.acts == way.acts:
+    if named is None or (named.over == over and named.acts == way.acts):
         return dependence
     first = max(same, key=lambda d: d.share, default=way)
     if first in dependence.dependences:
@@ -37,7 +37,7 @@ def as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
     else:  # roll-outs gave it a share of its own
         key = (first.variable, first.acts, first.period)
         every = (first, *(d for d in dependence.dependences if (d.variable, d.acts, d.period) != key))
-    ties = tuple(d for d in (named, *dependence.ties) if d and d is not first)
+    ties = tuple(d for d in (named, *dependence.ties) if d is not first)
     return replace(dependence, dependences=every, first=first, ties=ties)
 
 

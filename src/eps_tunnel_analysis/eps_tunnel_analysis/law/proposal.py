@@ -299,11 +299,14 @@ def propose(
     shows = visit(model, part.name, first or dependence.dependences[0], motions)
     offsets = tuple(missing_offset(missing, number) for number in sensors(design, positions))
     trials = trial_offsets(plays, positions)
+    bare = Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
+                    trials=trials)  # fmt: skip
+    if first is None:
+        return bare
     spans = visited(motions)
     spans |= {"curve_sensor": spans["curve_angle"], "curve_sensor_speed": spans["curve_speed"]}
-    table, band = _curve(design, positions, spans, first) if first else ((), ())
-    bare = Proposal(part.name, first.place if first else part.name, missing, dependence, nothing, base=model,
-                    curve=table, curve_band=band, visit=shows, offsets=offsets, trials=trials)  # fmt: skip
+    table, band = _curve(design, positions, spans, first)
+    bare = replace(bare, place=first.place, curve=table, curve_band=band)
     run = SearchOptions((), nthread)
     words = {acts: (place, terms) for acts, place, terms in dictionaries(design, positions)}
 
@@ -322,7 +325,7 @@ def propose(
         for way, law in single_terms(design, dependence, model, plays, part, positions, nthread, seed):
             tried += attempts([law], way)
     best = _best(tried)
-    if first and not first.of_command and (best is None or best.refit.held_out > SETTINGS.law_complete):
+    if not first.of_command and (best is None or best.refit.held_out > SETTINGS.law_complete):
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {
             f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, (w for _, w in table), strict=True)
@@ -377,11 +380,11 @@ def _curve(
     return table, tuple(half_widths(about, columns).tolist())
 
 
-def _words(attempt: _Attempt, first: Dependence | None) -> str:
+def _words(attempt: _Attempt, first: Dependence) -> str:
     """Its equation, and where it acts if that is elsewhere than what was named."""
     words, (place, what) = equation_of(attempt.law.terms), attempt.way.acts
     acts = {"sensor": "read by", "command": "in the command of", "force": "on"}[what]
-    return words if first and (place, what) == first.acts else f"{words}, {acts} {place}"
+    return words if (place, what) == first.acts else f"{words}, {acts} {place}"
 
 
 def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:

@@ -59,7 +59,8 @@ def single_terms(
     more: list[Refit] = []
     if best and best[0].cost > SETTINGS.law_complete:
         here = [c for c in library.candidates if owner[c.name][0].acts == acts(best[0])]
-        more = _descended(search, best, here)[:KEPT]
+        enough = best[0].cost - max(SETTINGS.material, SETTINGS.share * best[0].cost)
+        more = [refit for refit in _descended(search, best, here)[:KEPT] if refit.cost <= enough]
     laws = []
     for refit in [*alone, *more]:
         explained = _explained(search, base, refit)
