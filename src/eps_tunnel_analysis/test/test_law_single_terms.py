@@ -38,9 +38,7 @@ def play() -> Play:
     return Play("sines", Trials(clean.time, clean.signals, clean.units, values, clean.command_channels, block))
 
 
-def test_the_term_that_is_missing_leaves_least_and_is_named_where_the_linear_problem_does_not(
-    model: Model, play: Play
-) -> None:
+def test_the_term_that_is_missing_is_named_where_the_linear_problem_does_not_name_it(model: Model, play: Play) -> None:
     """Of other variables nothing is said: each explains less than chance here."""
     design = Design.of(missing_force(model, [play], PART, 1, commanded=True))
     known = depends(design, ["pendulum"], 0)
