@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Terms tried by themselves in roll-outs."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
-from eps_tunnel_analysis.law.depends import depends
+from eps_tunnel_analysis.law.depends import Dependence, Depends
 from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.law.single_terms import single_terms
@@ -38,12 +36,15 @@ def play() -> Play:
     return Play("sines", Trials(clean.time, clean.signals, clean.units, values, clean.command_channels, block))
 
 
+def over(variable: str, curve: str, chance: float) -> Dependence:
+    """What the linear problem does not name."""
+    return Dependence(variable, curve, "pendulum", 0.0, (0.0, 0.0), chance, named=False)
+
+
 def test_the_term_that_is_missing_is_named_where_the_linear_problem_does_not_name_it(model: Model, play: Play) -> None:
-    """Of other variables nothing is said: each explains less than chance here."""
-    design = Design.of(missing_force(model, [play], PART, 1, commanded=True))
-    known = depends(design, ["pendulum"], 0)
-    everywhere = (replace(d, named=False, chance=0.5 if d.variable == "speed" else 1.0) for d in known.dependences)
-    unnamed = replace(known, first=None, ties=(), dependences=tuple(everywhere))
+    """Of the angle nothing is said: it must explain more than chance, which explains everything here."""
+    design = Design.of(missing_force(model, [play], PART, 1))
+    unnamed = Depends((over("angle", "curve_angle", 1.0), over("speed", "curve_speed", 0.5)))
     (way, law), *others = single_terms(design, unnamed, model, [play], PART, ["pendulum"], nthread=1)
     assert (way.variable, way.acts, way.named) == ("speed", ("pendulum", "force"), True)
     assert way.share == law.share > 0.9 and law.interval[0] > 0.8
