@@ -20,7 +20,7 @@ from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Formula, dictionary, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import MissingForce, missing_force
-from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways
+from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_first
 from eps_tunnel_analysis.law.proposal import (
     Confirmation,
     Proposal,
@@ -272,6 +272,7 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     by_roll_outs = as_proposed(Depends((speed, replace(load, named=False)), speed), chosen, own)
     assert by_roll_outs == Depends((own, speed), own, (speed,))
     assert as_proposed(Depends((load,)), chosen, own).first is None
+    assert with_first(Depends((load, speed)), own) == Depends((own, speed), own)
     # A sensor may have the name of the axis.
     read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
     tied = replace(found, ties=(load, read))

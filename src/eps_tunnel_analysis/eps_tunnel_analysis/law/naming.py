@@ -32,12 +32,16 @@ def as_proposed(dependence: Depends, law: Formula, way: Dependence) -> Depends:
     if named is None or (named.over == over and named.acts == way.acts):
         return dependence
     first = max(same, key=lambda d: d.share, default=way)
-    if first in dependence.dependences:
-        every = dependence.dependences
-    else:  # roll-outs gave it a share of its own
+    return with_first(dependence, first)
+
+
+def with_first(dependence: Depends, first: Dependence) -> Depends:
+    """Something else named first, and what was named before as one of those that are not told apart from it."""
+    every = dependence.dependences
+    if first not in every:  # roll-outs gave it a share of its own
         key = (first.variable, first.acts, first.period)
-        every = (first, *(d for d in dependence.dependences if (d.variable, d.acts, d.period) != key))
-    ties = tuple(d for d in (named, *dependence.ties) if d is not first)
+        every = (first, *(d for d in every if (d.variable, d.acts, d.period) != key))
+    ties = tuple(d for d in (dependence.first, *dependence.ties) if d is not None and d is not first)
     return replace(dependence, dependences=every, first=first, ties=ties)
 
 

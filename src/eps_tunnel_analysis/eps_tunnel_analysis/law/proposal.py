@@ -32,7 +32,7 @@ from eps_tunnel_analysis.law.missing_force import (
     missing_offset,
     trial_offsets,
 )
-from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_period
+from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_first, with_period
 from eps_tunnel_analysis.law.refit import Visit, floors_on, visit
 from eps_tunnel_analysis.law.single_terms import single_terms
 from eps_tunnel_analysis.law.variables import OVER_SPEED, knots_of, sensors, variables
@@ -301,12 +301,8 @@ def propose(
     trials = trial_offsets(plays, positions)
     bare = Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
                     trials=trials)  # fmt: skip
-    if first is None:
-        return bare
     spans = visited(motions)
     spans |= {"curve_sensor": spans["curve_angle"], "curve_sensor_speed": spans["curve_speed"]}
-    table, band = _curve(design, positions, spans, first)
-    bare = replace(bare, place=first.place, curve=table, curve_band=band)
     run = SearchOptions((), nthread)
     words = {acts: (place, terms) for acts, place, terms in dictionaries(design, positions)}
 
@@ -324,6 +320,15 @@ def propose(
         places = set(words)
         for way, law in single_terms(design, dependence, model, plays, part, positions, nthread, seed):
             tried += attempts([law], way)
+    linear = dependence
+    if first is None:
+        first = _told_apart(tried)
+        if first is None:
+            return bare
+        dependence = with_first(dependence, first)
+        bare = replace(bare, visit=visit(model, part.name, first, motions))
+    table, band = _curve(design, positions, spans, first)
+    bare = replace(bare, place=first.place, curve=table, curve_band=band)
     best = _best(tried)
     if not first.of_command and (best is None or best.refit.held_out > SETTINGS.law_complete):
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
@@ -334,7 +339,7 @@ def propose(
         if best is None or free.refit.held_out * SETTINGS.law_as_good < best.refit.held_out:
             best = free if np.isfinite(free.refit.held_out) else best
     bare = replace(bare, tried={_words(t, first): t.refit.held_out for t in tried})
-    unconfirmed = replace(bare, depends=refuted(dependence))
+    unconfirmed = replace(bare, depends=refuted(linear))
     if best is None:
         return unconfirmed
     base = best.search.refit([((), best.search.start)], LAW_ROUNDS, "fine")[0]
@@ -410,6 +415,16 @@ def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
     near = [t for t in predicts
             if t.refit.held_out <= max(SETTINGS.law_no_worse * least, enough[t.way.acts == best.way.acts])]  # fmt: skip
     return min(near, key=lambda t: (t.numbers, t.refit.held_out))
+
+
+def _told_apart(tried: Sequence[_Attempt]) -> Dependence | None:
+    """What the best formula is over, if any over something else leaves clearly more: two poses fit any two numbers."""
+    best = _best(tried)
+    if best is None:
+        return None
+    enough = SETTINGS.law_as_good * best.refit.held_out
+    near = {(t.way.acts, t.law.terms[0].term.over) for t in tried if t.refit.held_out <= enough}
+    return best.way if len(near) == 1 else None
 
 
 def _ranked(
