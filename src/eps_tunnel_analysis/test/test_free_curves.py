@@ -105,6 +105,7 @@ def test_only_a_sum_that_leaves_more_than_noise_may_be_an_imitation() -> None:
     assert not imitated(replace(two, residuals=0.01 * two.residuals), search)
 
 
+@pytest.mark.study
 def test_what_a_curve_explains_where_names_only_imitate_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(axis_module, "imitated", lambda refit, search: True)
     play = played(hiding(drag))

@@ -227,6 +227,7 @@ def test_a_healthy_rig_is_silent(model: Model) -> None:
     assert (found.kind, found.text, found.model) == ("", "", None)
 
 
+@pytest.mark.study
 def test_friction_at_places_is_found_as_half_waves(model: Model) -> None:
     """Without any dry friction in the model, which could take the half waves' mean."""
 

@@ -26,8 +26,8 @@ from labyrinth_sim.model import Model
 FARTHEST = 10.0  # times its typical size or shape, of what a term may be
 OF_LOAD = 0.1  # of the drive's load, root mean square: the typical size of a force, where less is missing
 OF_MOTION = 0.03  # of the range of angles: the typical size of an error of a sensor or of the command
-DESCENDED = 8  # terms that are descended: those that promise most to first order
-ROUNDS = 10  # of descent
+PROMISING = 8  # terms that are descended: those that promise most to first order
+TERM_ROUNDS = 10  # of descent
 KEPT = 3
 STANDS_FOR = ("command", "direction")  # variables that are tried as forces, but that no term of a force is over
 
@@ -81,8 +81,8 @@ def _descended(search: Search, begun: Sequence[Refit], candidates: Sequence[Cand
             key = frozenset(c.name for c in added)
             if key not in promised or point.promised < promised[key][0]:
                 promised[key] = point.promised, (added, point.values)
-    most = sorted(promised.values(), key=lambda one: one[0])[:DESCENDED]
-    return search.best_of([job for _, job in most], ROUNDS)
+    most = sorted(promised.values(), key=lambda one: one[0])[:PROMISING]
+    return search.best_of([job for _, job in most], TERM_ROUNDS)
 
 
 def _fitted(chosen: Chosen, name: str, refit: Refit, library: Library) -> Chosen:
