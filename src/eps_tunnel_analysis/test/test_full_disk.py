@@ -58,7 +58,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("size", [0, 700])
+@pytest.mark.parametrize("size", [0, pytest.param(700, marks=pytest.mark.study)])
 @pytest.mark.parametrize("line", COMMANDS.values(), ids=COMMANDS)
 def test_a_command_on_a_full_disk_leaves_nothing(inputs: Path, tmp_path: Path, line: str, size: int) -> None:
     out = tmp_path / "new" / "out"

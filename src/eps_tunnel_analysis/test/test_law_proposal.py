@@ -79,7 +79,10 @@ def hidden(model: Model) -> Model:
 
 @pytest.fixture(scope="module")
 def proposal(model: Model, hidden: Model) -> Proposal:
-    return propose(model, [played(hidden, 1)], PART, nthread=1)
+    """Without terms by themselves, of which none is a wave: test_law_single_terms.py tries those."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(proposal_module, "single_terms", lambda *_: [])
+        return propose(model, [played(hidden, 1)], PART, nthread=1)
 
 
 def test_a_hidden_wave_is_found_with_its_period_size_and_phase(proposal: Proposal) -> None:
