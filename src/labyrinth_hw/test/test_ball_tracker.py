@@ -70,7 +70,7 @@ def test_an_empty_board_shows_no_ball_in_any_light() -> None:
         for _ in range(5):
             frame = renderer.render(Scene(tilt=(float(rng.uniform(-0.1, 0.1)), float(rng.uniform(-0.1, 0.1)))))
             seen.append(tracker.update(frame, marks.update(frame), 0.0).visible)
-    assert np.mean(seen) < 0.02, f"seed {seed}"
+    assert np.sum(seen) <= 1, f"seed {seed}"
 
 
 def test_a_ball_under_a_hand_is_not_seen_and_found_when_it_comes_out() -> None:
