@@ -63,14 +63,14 @@ def test_an_empty_board_shows_no_ball_in_any_light() -> None:
     seed = secrets.randbits(32)
     rng = np.random.default_rng(seed)
     seen = []
-    for room in range(6):
+    for room in range(12):
         lens = VIEWS[room % 3]
-        renderer = Renderer(layout(BOARDS[(room + room // 3) % 3]), lens, Lighting.drawn(rng), seed=room)
+        renderer = Renderer(layout(BOARDS[room // 3 % 3]), lens, Lighting.drawn(rng), seed=room)
         marks, tracker = LandmarkTracker(DotPlan.from_sizes(), intrinsics(lens)), BallTracker()
         for _ in range(5):
             frame = renderer.render(Scene(tilt=(float(rng.uniform(-0.1, 0.1)), float(rng.uniform(-0.1, 0.1)))))
             seen.append(tracker.update(frame, marks.update(frame), 0.0).visible)
-    assert np.sum(seen) <= 1, f"seed {seed}"
+    assert np.mean(seen) < 0.02, f"seed {seed}"
 
 
 def test_a_ball_under_a_hand_is_not_seen_and_found_when_it_comes_out() -> None:
