@@ -53,11 +53,11 @@ def judge_drawn(seed: int, threads: int, rig: str | None, visible: bool = False)
     """One drawn case from its bags to the verdict; only "passed_over" if what is wrong should show and does not."""
     with tempfile.TemporaryDirectory() as folder:
         case = draw(seed, Path(folder), rig)
-        if visible and any(h.visibility <= VISIBLE for h in case.hidden):
+        if visible and case.hidden and case.visibility <= VISIBLE:
             return {"seed": seed, "passed_over": True}
         model, plays = loaded(case.model, case.bags)
         record = case.to_json()
-        record["visibility"] = min((h.visibility for h in case.hidden), default=0.0)
+        record["visibility"] = case.visibility
         return record | _said(model, plays, seed, threads, case.truth, case.kind, case.only)
 
 

@@ -88,9 +88,9 @@ def judge(seed: int, threads: int, effect: str | None, visible: bool = False) ->
     kind = KINDS[seed % len(KINDS)]
     with tempfile.TemporaryDirectory() as folder:
         case = draw(seed, Path(folder), kind=kind, effect=None if kind == "healthy" else effect, fresh=True)
-        if visible and any(h.visibility <= VISIBLE for h in case.hidden):
+        if visible and case.hidden and case.visibility <= VISIBLE:
             return {"seed": seed, "passed_over": True}
-        record: Record = {**case.to_json(), "visibility": min((h.visibility for h in case.hidden), default=0.0)}
+        record: Record = {**case.to_json(), "visibility": case.visibility}
         try:
             record |= _said(case, threads)
         except Exception as error:  # a case that crashes is a result, and the others still run

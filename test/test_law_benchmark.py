@@ -95,8 +95,8 @@ def test_what_does_not_show_is_drawn_and_passed_over_and_not_drawn_again(tmp_pat
     shows = {100_001: 2.9, 100_002: 3.1}
 
     def drawn(seed, folder, **chosen):
-        hidden = SimpleNamespace(visibility=shows[seed])
-        return SimpleNamespace(hidden=(hidden,), to_json=lambda: case(visibility=shows[seed]) | {"seed": seed})
+        own = case(visibility=shows[seed]) | {"seed": seed}
+        return SimpleNamespace(hidden=("something",), visibility=shows[seed], to_json=lambda: own)
 
     judges = {law: partial(law.judge, effect=None), diagnosis: partial(diagnosis.judge_drawn, rig=None)}
     for benchmark, judge in judges.items():

@@ -26,16 +26,7 @@ FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck",
           "trailing", "creeping", "swinging", "load", "tight", "places", "fading", "warming", "coupling",
           "rubbing")  # fmt: skip
 # Others are in TOGETHER.
-BY_THEMSELVES = (
-    "constant",
-    "spring",
-    "bend",
-    "cubic",
-    "tight",
-    "places",
-    "coupling",
-    "rubbing",
-)  # others are in TOGETHER
+BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "tight", "places", "coupling", "rubbing")
 SENSORS = ("offset", "scale", "bend", "wave", "late", "play", "far_end")
 COMMANDS = ("offset", "scale", "wave", "ticks", "late", "lag", "limit", "profile")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",

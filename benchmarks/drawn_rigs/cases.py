@@ -115,6 +115,11 @@ class Case:
         return " + ".join(sorted(h.name for h in self.hidden)) or "none"
 
     @property
+    def visibility(self) -> float:
+        """That of what shows least; 0 where nothing is hidden."""
+        return min((h.visibility for h in self.hidden), default=0.0)
+
+    @property
     def as_true(self) -> tuple[str, ...]:
         """Hypotheses that are as true as `truth`, in the same way of writing."""
         if self.truth in ("none", "unknown"):

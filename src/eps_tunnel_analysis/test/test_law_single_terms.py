@@ -7,6 +7,7 @@ import pytest
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law.depends import Dependence, Depends
 from eps_tunnel_analysis.law.design import Design
+from eps_tunnel_analysis.law.formula import dictionaries
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.law.single_terms import single_terms
 from eps_tunnel_analysis.simulated import Play
@@ -45,7 +46,8 @@ def test_the_term_that_is_missing_is_named_where_the_linear_problem_does_not_nam
     """Of the angle nothing is said: it must explain more than chance, which explains everything here."""
     design = Design.of(missing_force(model, [play], PART, 1))
     unnamed = Depends((over("angle", "curve_angle", 1.0), over("speed", "curve_speed", 0.5)))
-    (way, law), *others = single_terms(design, unnamed, model, [play], PART, ["pendulum"], nthread=1)
+    words = dictionaries(design, ["pendulum"])
+    (way, law), *others = single_terms(design, unnamed, model, [play], PART, words, nthread=1)
     assert (way.variable, way.acts, way.named) == ("speed", ("pendulum", "force"), True)
     assert way.share == law.share > 0.9 and law.interval[0] > 0.8
     assert law.terms[0].term.name in ("friction", "stribeck")

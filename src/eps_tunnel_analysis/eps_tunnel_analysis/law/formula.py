@@ -295,16 +295,18 @@ def _in_ticks(motion: Motion, tick: float) -> Array:
     return _column(tick * np.round(target(motion) / tick) - target(motion))
 
 
-def dictionaries(
-    design: Design, positions: Sequence[str]
-) -> list[tuple[tuple[str, str], int | None, list[Term]]]:  # fmt: skip
-    """Each place where something may act, as `Dependence.acts` and as a number for `Design.columns`, and its terms.
+Dictionary = tuple[tuple[str, str], int | None, list[Term]]
+"""A place where something may act, as `Dependence.acts` and as a number for `Design.columns`, and its terms."""
+
+
+def dictionaries(design: Design, positions: Sequence[str]) -> list[Dictionary]:
+    """The dictionary of each place.
 
     Args:
         positions: names of the axis's measured positions.
     """
     axis, signals = design.missing.axis, design.missing.signals
-    every: list[tuple[tuple[str, str], int | None, list[Term]]] = [((axis, "force"), None, dictionary(design))]
+    every: list[Dictionary] = [((axis, "force"), None, dictionary(design))]
     every += [((signals[n], "sensor"), n, sensor_dictionary(design)) for n in sensors(design, positions)]
     if has_command(design):
         every.append(((axis, "command"), COMMAND, command_dictionary(design)))

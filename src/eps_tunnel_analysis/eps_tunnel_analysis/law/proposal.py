@@ -16,7 +16,7 @@ from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, floor_known, hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, search_of
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
-from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate, with_curves
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, with_curves
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, rank
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -33,14 +33,14 @@ from eps_tunnel_analysis.law.missing_force import (
     trial_offsets,
 )
 from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_first, with_period
-from eps_tunnel_analysis.law.refit import Visit, floors_on, visit
+from eps_tunnel_analysis.law.refit import Visit, floors_on, library_of, visit
 from eps_tunnel_analysis.law.single_terms import single_terms
 from eps_tunnel_analysis.law.variables import OVER_SPEED, knots_of, sensors, variables
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
-from labyrinth_sim.effect import Effect, effects, slide_unit
+from labyrinth_sim.effect import effects, slide_unit
 from labyrinth_sim.model import Model, save_model
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.shown import shown
@@ -272,6 +272,11 @@ class _Attempt:
     search: Search
 
     @property
+    def over(self) -> tuple[tuple[str, str], str]:
+        """Where a formula acts, and what its first term is over."""
+        return self.way.acts, self.law.terms[0].term.over
+
+    @property
     def numbers(self) -> int:
         return sum(len(c.term.numbers) for c in self.law.terms)
 
@@ -304,32 +309,34 @@ def propose(
     spans = visited(motions)
     spans |= {"curve_sensor": spans["curve_angle"], "curve_sensor_speed": spans["curve_speed"]}
     run = SearchOptions((), nthread)
-    words = {acts: (place, terms) for acts, place, terms in dictionaries(design, positions)}
+    every = dictionaries(design, positions)
+    words = {acts: (place, terms) for acts, place, terms in every}
 
     def attempts(laws: Sequence[Formula], way: Dependence) -> list[_Attempt]:
         refitted = (_formula_refitted(law, way, model, plays, part, run) for law in laws)
         return [attempt for attempt in refitted if not runs_away(attempt.model, shows.command, nthread)]
 
     tried: list[_Attempt] = []
-    places = {way.acts for way in ways(dependence)}
-    for way in ways(dependence):
+    named = ways(dependence)
+    places = {way.acts for way in named}
+    for way in named:
         place, terms = words[way.acts]
         tried += attempts(formulas(design, terms, place, seed), way)
     best = _best(tried)
     if best is None or best.refit.held_out > SETTINGS.law_complete:
         places = set(words)
-        for way, law in single_terms(design, dependence, model, plays, part, positions, nthread, seed):
+        for way, law in single_terms(design, dependence, model, plays, part, every, nthread, seed):
             tried += attempts([law], way)
+    best = _best(tried)
     linear = dependence
     if first is None:
-        first = _told_apart(tried)
-        if first is None:
+        if best is None or len(_near(tried, best)) > 1:  # two poses fit any two numbers
             return bare
+        first = best.way
         dependence = with_first(dependence, first)
         bare = replace(bare, visit=visit(model, part.name, first, motions))
     table, band = _curve(design, positions, spans, first)
     bare = replace(bare, place=first.place, curve=table, curve_band=band)
-    best = _best(tried)
     if not first.of_command and (best is None or best.refit.held_out > SETTINGS.law_complete):
         lib = with_curves(Library(model, part.base, (), part.rough), {(first.curve, first.place): spans[first.curve]})
         start = {
@@ -417,14 +424,9 @@ def _best(tried: Sequence[_Attempt]) -> _Attempt | None:
     return min(near, key=lambda t: (t.numbers, t.refit.held_out))
 
 
-def _told_apart(tried: Sequence[_Attempt]) -> Dependence | None:
-    """What the best formula is over, if any over something else leaves clearly more: two poses fit any two numbers."""
-    best = _best(tried)
-    if best is None:
-        return None
-    enough = SETTINGS.law_as_good * best.refit.held_out
-    near = {(t.way.acts, t.law.terms[0].term.over) for t in tried if t.refit.held_out <= enough}
-    return best.way if len(near) == 1 else None
+def _near(tried: Sequence[_Attempt], best: _Attempt) -> set[tuple[tuple[str, str], str]]:
+    """Where formulas act, and what they are over, that do not leave clearly more in roll-outs than the best does."""
+    return {t.over for t in tried if t.refit.held_out <= SETTINGS.law_as_good * best.refit.held_out}
 
 
 def _ranked(
@@ -454,12 +456,9 @@ def _refined(terms: Sequence[Chosen], values: Mapping[str, float]) -> Iterator[C
 
 def _decided(dependence: Depends, tried: Sequence[_Attempt], best: _Attempt) -> Depends:
     """Without what acts elsewhere, or is over something else, and leaves clearly more in roll-outs."""
-    judged = [(t.way.acts, t.law.terms[0].term.over, t.refit.held_out) for t in tried]
-    judged = [one for one in judged if np.isfinite(one[2])]
-    enough = SETTINGS.law_as_good * best.refit.held_out
-    more = {acts for acts, _, _ in judged} - {acts for acts, _, left in judged if left <= enough}
-    over = {one[:2] for one in judged} - {one[:2] for one in judged if one[2] <= enough}
-    ties = (d for d in dependence.ties if d.acts not in more and (d.acts, d.over) not in over)
+    near, judged = _near(tried, best), {t.over for t in tried if np.isfinite(t.refit.held_out)}
+    worse = {acts for acts, _ in judged} - {acts for acts, _ in near}
+    ties = (d for d in dependence.ties if d.acts not in worse and (d.acts, d.over) not in judged - near)
     return replace(dependence, ties=tuple(ties))
 
 
@@ -514,16 +513,11 @@ def ratios(rig: Rig, axis: str) -> dict[str, float]:
     return {} if own.slides else {"joint": 1.0, **own.turns}
 
 
-def _library(model: Model, part: AxisPart, effect: Effect, place: str) -> Library:
-    off = model.with_effect(effect, place, effect.off, "switched off")
-    return Library(off, part.base, (candidate(off, effect, place),), part.rough)
-
-
 def _formula_refitted(
     law: Formula, way: Dependence, model: Model, plays: Sequence[Play], part: AxisPart, run: SearchOptions
 ) -> _Attempt:
     """A formula in roll-outs, from the numbers that it has."""
-    lib = _library(model, part, declared(effect_file(law.terms)), way.place)
+    lib = library_of(model, part, [(declared(effect_file(law.terms)), way.place)])
     named = zip(law.terms, prefixes(law.terms), strict=True)
     start = {f"{NAME}.{way.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
     return _refitted("formula", law, lib, plays, part, run, start, way)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, search_of
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, axis_search, search_of
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.law.depends import Dependence
@@ -52,11 +52,15 @@ def with_own_effect_fitted(
 ) -> Model:
     """The same with an effect that no library has, at a place."""
     part = next(p for p in axis_parts(model, plays) if p.name == axis)
-    off = model.with_effect(effect, place, effect.off, "switched off")
-    own = candidate(off, effect, place)
-    return _fitted(
-        model, search_of(Library(off, part.base, (own,), part.rough), plays, part, SearchOptions((), nthread)), own
-    )
+    lib = library_of(model, part, [(effect, place)])
+    return _fitted(model, search_of(lib, plays, part, SearchOptions((), nthread)), lib.candidates[0])
+
+
+def library_of(model: Model, part: AxisPart, placed: Sequence[tuple[Effect, str]]) -> Library:
+    """Effects that no registry has, each at its place, switched off in the model, as candidates for one axis."""
+    for effect, place in placed:
+        model = model.with_effect(effect, place, effect.off, "switched off")
+    return Library(model, part.base, tuple(candidate(model, *each) for each in placed), part.rough)
 
 
 def _fitted(model: Model, search: Search, own: Candidate) -> Model:

@@ -12,16 +12,18 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.axis import hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, search_of
-from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.depends import Dependence, Depends
 from eps_tunnel_analysis.law.design import Design, Explained, Predictor
-from eps_tunnel_analysis.law.effect_file import declared, effect_file, prefixes
-from eps_tunnel_analysis.law.formula import Chosen, Formula, Number, Term, best_shape, dictionaries
+from eps_tunnel_analysis.law.effect_file import declared, effect_file
+from eps_tunnel_analysis.law.formula import Chosen, Dictionary, Formula, Number, Term, best_shape
+from eps_tunnel_analysis.law.refit import library_of
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
+from labyrinth_sim.trials import Array
 
 FARTHEST = 10.0  # times its typical size or shape, of what a term may be
 OF_LOAD = 0.1  # of the drive's load, root mean square: the typical size of a force, where less is missing
@@ -34,7 +36,7 @@ STANDS_FOR = ("command", "direction")  # variables that are tried as forces, but
 
 def single_terms(
     design: Design, dependence: Depends, model: Model, plays: Sequence[Play], part: AxisPart,
-    positions: Sequence[str], nthread: int = 0, seed: int = 0,
+    dictionaries: Sequence[Dictionary], nthread: int = 0, seed: int = 0,
 ) -> list[tuple[Dependence, Formula]]:  # fmt: skip
     """Formulas of one term that leave least in roll-outs, and explain more than chance does of what they are over; and
     of two where one leaves much.
@@ -43,10 +45,14 @@ def single_terms(
 
     Args:
         model: without them, its values refitted.
-        positions: names of the axis's measured positions.
+        dictionaries: of every place where something may act.
     """
-    every = list(_terms(design, dependence, positions))
-    library = _library(model, part, every)
+    every = list(_terms(design, dependence, dictionaries))
+    placed = []
+    for i, (way, chosen) in enumerate(every):
+        effect = declared(effect_file([chosen]))
+        placed.append((replace(effect, name=f"{effect.name}_{i}"), way.place))
+    library = library_of(model, part, placed)
     owner = dict(zip((c.name for c in library.candidates), every, strict=True))
 
     def acts(refit: Refit) -> tuple[str, str]:
@@ -62,8 +68,9 @@ def single_terms(
         enough = best[0].cost - max(SETTINGS.material, SETTINGS.share * best[0].cost)
         more = [refit for refit in _descended(search, best, here)[:KEPT] if refit.cost <= enough]
     laws = []
+    without = _left_out(search, base)
     for refit in [*alone, *more]:
-        explained = _explained(search, base, refit)
+        explained = _explained(without, _left_out(search, refit), len(search.used))
         ways = [owner[name][0] for name in refit.effects]
         if explained.share > ways[0].chance:
             share, interval = explained.share, explained.interval(seed)
@@ -88,37 +95,31 @@ def _descended(search: Search, begun: Sequence[Refit], candidates: Sequence[Cand
 def _fitted(chosen: Chosen, name: str, refit: Refit, library: Library) -> Chosen:
     """A term with the numbers of a refit, in which it is the effect of this name."""
     values = dict(zip(library.names, refit.values, strict=True))
-    prefix = f"{name}.{prefixes([chosen])[0]}_"
+    prefix = f"{name}.{chosen.term.name}_"
     return replace(chosen, values={n.name: float(values[prefix + n.name]) for n in chosen.term.numbers})
 
 
-def _explained(search: Search, base: Refit, refit: Refit) -> Explained:
-    """What a term explains of the base's misfit on stretches of time that were left out."""
-    left = [np.bincount(search.folds, hypothesis(search, r).left_out ** 2) for r in (base, refit)]
-    without, with_it = (float(squares.sum()) for squares in left)
-    fall = (without - with_it) / len(search.used)
-    return Explained(1.0 - with_it / without, np.column_stack(left), np.empty(0), fall)
+def _left_out(search: Search, refit: Refit) -> Array:
+    """(F,) sum of squares that a refit leaves in each stretch of time that was left out."""
+    return np.asarray(np.bincount(search.folds, hypothesis(search, refit).left_out ** 2), dtype=np.float64)
 
 
-def _library(model: Model, part: AxisPart, terms: Sequence[tuple[Dependence, Chosen]]) -> Library:
-    """Every term as an effect of its own, switched off."""
-    every = []
-    for i, (way, chosen) in enumerate(terms):
-        effect = declared(effect_file([chosen]))
-        effect = replace(effect, name=f"{effect.name}_{i}")
-        model = model.with_effect(effect, way.place, effect.off, "switched off")
-        every.append((effect, way.place))
-    return Library(model, part.base, tuple(candidate(model, *each) for each in every), part.rough)
+def _explained(without: Array, left: Array, samples: int) -> Explained:
+    """What terms explain where they leave (F,) of (F,) squares in each stretch."""
+    share, fall = 1.0 - left.sum() / without.sum(), (without.sum() - left.sum()) / samples
+    return Explained(float(share), np.column_stack([without, left]), np.empty(0), float(fall))
 
 
-def _terms(design: Design, dependence: Depends, positions: Sequence[str]) -> Iterator[tuple[Dependence, Chosen]]:
+def _terms(
+    design: Design, dependence: Depends, dictionaries: Sequence[Dictionary]
+) -> Iterator[tuple[Dependence, Chosen]]:
     """Every term that is no wave, of a typical size and the shape that is best in the linear problem, with what it is
     over.
     """
     error = OF_MOTION * max(float(np.ptp(p.motion.angle)) for p in design.plays)
     loads = np.concatenate([p.motion.load for p in design.plays])
     force = max(design.missing.size, OF_LOAD * float(np.sqrt(np.mean(loads**2))))
-    for acts, number, terms in dictionaries(design, positions):
+    for acts, number, terms in dictionaries:
         size = force if number is None else error
         about = design.at(number)
         linear, motions = Predictor(about), [p.motion for p in about.plays]
