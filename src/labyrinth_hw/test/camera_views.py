@@ -2,6 +2,7 @@
 """Views of the emulated rig to test trackers on: lenses, layouts, places where a ball can lie."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from labyrinth_hw.camera import Intrinsics
@@ -19,6 +20,11 @@ FAR = Lens.at_height(1.0)
 CROOKED = Lens(
     focal=300, distortion=(-0.12, 0.02, 0.001, 0.0, 0.0), position=(0.01, 0.01, 0.26), turn=(0.03, -0.04, 0.1)
 )  # fmt: skip
+LENSES = [
+    pytest.param(CLOSE, id="close"),
+    pytest.param(FAR, id="far", marks=pytest.mark.study),
+    pytest.param(CROOKED, id="crooked"),
+]
 
 
 def layout(name: str) -> Layout:

@@ -5,7 +5,7 @@ import secrets
 
 import numpy as np
 import pytest
-from camera_views import CLOSE, CROOKED, FAR, free_place, intrinsics, layout
+from camera_views import CLOSE, CROOKED, FAR, LENSES, free_place, intrinsics, layout
 
 from labyrinth_hw.ball_tracker import BallTracker
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
@@ -14,11 +14,6 @@ from labyrinth_hw.testbed.scene import Lens, Lighting, Scene
 from labyrinth_hw.vision import BLUE, GREEN, RED, WHITE, YELLOW, annotated
 
 VIEWS = [CLOSE, FAR, CROOKED]
-LENSES = [
-    pytest.param(CLOSE, id="close"),
-    pytest.param(FAR, id="far", marks=pytest.mark.study),
-    pytest.param(CROOKED, id="crooked"),
-]
 BOARDS = ["easy", "medium", "hard"]
 BALL = 0.00635  # m, radius
 

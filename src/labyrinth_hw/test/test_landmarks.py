@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from camera_views import CLOSE, CROOKED, FAR, intrinsics, layout
+from camera_views import CLOSE, FAR, LENSES, intrinsics, layout
 
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.landmarks import DotPlan, LandmarkTracker
@@ -25,13 +25,6 @@ GRID = np.array([(x, y, 0.00635) for x in (0.0, 0.138, 0.276) for y in (0.0, 0.1
 
 
 FRESH = secrets.randbits(32)
-
-
-LENSES = [
-    pytest.param(CLOSE, id="close"),
-    pytest.param(FAR, id="far", marks=pytest.mark.study),
-    pytest.param(CROOKED, id="crooked"),
-]
 
 
 @pytest.mark.parametrize(
