@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from eps_tunnel_analysis.diagnose.repeats import repeats
 from labyrinth_sim.trials import Trials
@@ -32,6 +33,15 @@ def test_noise_is_neither_drift_nor_uneven_timing(seed: int) -> None:
 def test_trials_that_rest_at_places_of_their_own_do_not_drift(seed: int) -> None:
     places = 0.002 * np.random.default_rng([seed, 1]).standard_normal((5, 1))
     assert found(MOTION + noise(seed) + places)[1] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_trials_that_differ_slowly_do_not_drift_though_their_means_go_one_way(seed: int) -> None:
+    rng = np.random.default_rng([seed, 2])
+    slow = uniform_filter1d(rng.standard_normal((4, len(TIME))), 100, axis=1)
+    means = slow.mean(axis=1, keepdims=True)
+    slow += means.mean() + means.std() * np.array([[-1.0], [-0.3], [0.4], [1.1]]) - means
+    assert found(MOTION + 0.1 * noise(seed, 4) + 0.002 * slow)[0] == 0.0
 
 
 def test_a_warming_rig_drifts() -> None:

@@ -65,7 +65,7 @@ def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
     mean = values.mean(axis=0)
     offsets = (values - mean).mean(axis=1)
     rest = values - mean - offsets[:, None]
-    drift = _drift(offsets, rest) if len(values) >= SETTINGS.drift_trials else 0.0
+    drift = _drift(values - mean, step) if len(values) >= SETTINGS.drift_trials else 0.0
     speed = np.gradient(uniform_filter1d(mean, 5), step)
     jitter = _jitter(rest - _whole(rest, speed, step), speed)
     return Repeats(signal, unit, drift, jitter if jitter > step * OUT_OF_STEP else 0.0)
@@ -81,16 +81,31 @@ def _whole(rest: Array, speed: Array, step: float) -> Array:
     return np.clip(early, -0.5 * step, 0.5 * step)[:, None] * speed
 
 
-def _drift(offsets: Array, rest: Array) -> float:
-    """Change of the trials' means (p,) from first to last if they go steadily one way; 0 if they do not."""
-    at = np.arange(len(offsets)) - 0.5 * (len(offsets) - 1)
-    slope = float(offsets @ at / (at @ at))
-    scatter = np.sqrt(np.sum((offsets - slope * at) ** 2) / (len(offsets) - 2) / (at @ at))
-    white = np.sqrt(0.5 * np.mean(np.diff(rest, axis=1) ** 2) / rest.shape[1])
-    whole = slope * (len(offsets) - 1)
+def _drift(apart: Array, step: float) -> float:
+    """Change of the trials' means from first to last if they go steadily one way; 0 if they do not.
+
+    Of four trials every twelfth set goes one way by chance, but then not throughout each trial.
+
+    Args:
+        apart: (p, T) of each trial from the mean of all.
+    """
+    at = np.arange(len(apart)) - 0.5 * (len(apart) - 1)
+    offsets = apart.mean(axis=1)
+    slope = _slope(at, offsets)
+    scatter = np.sqrt(np.sum((offsets - slope * at) ** 2) / (len(at) - 2) / (at @ at))
+    parts = np.array_split(apart, max(2, round(apart.shape[1] * step / SETTINGS.block)), axis=1)
+    each = np.array([_slope(at, part.mean(axis=1)) for part in parts])
+    scatter = max(float(scatter), float(each.std(ddof=1)) / np.sqrt(len(each)))
+    white = np.sqrt(0.5 * np.mean(np.diff(apart, axis=1) ** 2) / apart.shape[1])
+    whole = slope * (len(at) - 1)
     one_way = bool(np.all(np.diff(offsets) > 0) or np.all(np.diff(offsets) < 0))
     plain = abs(slope) > SETTINGS.drift_slope * scatter and abs(whole) > SETTINGS.drift_noise * white
     return whole if one_way and plain else 0.0
+
+
+def _slope(at: Array, offsets: Array) -> float:
+    """Per trial, of offsets (p,) at places (p,) about 0."""
+    return float(offsets @ at / (at @ at))
 
 
 def _jitter(rest: Array, speed: Array) -> float:

@@ -53,7 +53,8 @@ class DiagnosisSettings:
     imitated: share of an effect's probability that is for something else which behaves like it. Measured: of 39 that
         were named at over 90 % on drawn rigs, 9 were something else.
     drift_trials: trials, for a drift. Derived: every third set of three goes one way by chance.
-    drift_slope: slope over its standard error, of a drift. Derived: beyond chance for four trials.
+    drift_slope: slope over its standard error, of a drift, both over the trials and over stretches of them. Derived:
+        either happens by chance in 3 % of sets of four trials, not both.
     drift_noise: times what the sensors' noise alone would let the trials' means differ by, of a drift. Chosen: healthy
         rigs whose starts differ stay below.
     timing_share: of the differences between trials that the squared speed explains, of uneven timing. Chosen.

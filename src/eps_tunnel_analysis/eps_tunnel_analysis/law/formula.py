@@ -110,6 +110,11 @@ class Term:
         return self.acts not in ADDS
 
     @property
+    def waves(self) -> bool:
+        """Whether it is a wave: of a size, a period and a phase."""
+        return [n.name for n in self.numbers] == ["size", "period", "phase"]
+
+    @property
     def over(self) -> str:
         """The free curve over the variable that it depends on; SWING, LATE or OF_COMMAND; "" of a constant."""
         if self.follows == SWING:
@@ -419,7 +424,7 @@ def _values(chosen: Sequence[tuple[Term, float]], weights: Array) -> list[Chosen
     terms, first = [], 0
     for term, shape in chosen:
         names = [n.name for n in term.numbers]
-        if names == ["size", "period", "phase"]:
+        if term.waves:
             sine, cosine = weights[first], weights[first + 1]
             values = {"size": float(np.hypot(sine, cosine)), "period": shape, "phase": float(np.arctan2(cosine, sine))}
             first += 2 + term.beside

@@ -5,7 +5,7 @@ The linear problem is rough where base values make up for most of what is missin
 explain nothing there, and nearly all once the base values are refitted together with it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axis import hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, search_of
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library
-from eps_tunnel_analysis.diagnose.refits import Job, Refit
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.depends import Dependence, Depends
@@ -21,6 +21,7 @@ from eps_tunnel_analysis.law.design import Design, Explained, Predictor
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Dictionary, Formula, Number, Term, best_shape
 from eps_tunnel_analysis.law.refit import library_of
+from eps_tunnel_analysis.law.variables import LEAST_WAVES
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
@@ -31,6 +32,10 @@ OF_MOTION = 0.03  # of the range of angles: the typical size of an error of a se
 PROMISING = 8  # terms that are descended: those that promise most to first order
 TERM_ROUNDS = 10  # of descent
 KEPT = 3
+PHASES = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)  # rad, of waves that are tried
+MOST_PLACES = 10.0  # half waves of friction within the visited range; more are found by the linear problem
+APART = 0.06  # between periods tried, relative
+WAVES = 3  # periods from which a term that is a wave is descended
 STANDS_FOR = ("command", "direction")  # variables that are tried as forces, but that no term of a force is over
 
 
@@ -39,9 +44,11 @@ def single_terms(
     dictionaries: Sequence[Dictionary], nthread: int = 0, seed: int = 0,
 ) -> list[tuple[Dependence, Formula]]:  # fmt: skip
     """Formulas of one term that leave least in roll-outs, and explain more than chance does of what they are over; and
-    of two where one leaves much.
+    of two where one leaves much and the linear problem names something. Otherwise two terms have too many numbers: what
+    two poses miss by, most pairs explain.
 
-    Waves are left out: the linear problem finds their period, and roll-outs from a wrong one do not.
+    Waves of a force, and of friction, begin at many periods. Those of a sensor and of the command are left out, because
+    the linear problem finds their period in any case.
 
     Args:
         model: without them, its values refitted.
@@ -58,15 +65,16 @@ def single_terms(
     def acts(refit: Refit) -> tuple[str, str]:
         return owner[refit.effects[0]][0].acts
 
+    waves = {name: _begun(chosen) for name, (_, chosen) in owner.items() if chosen.term.waves}
     search = search_of(library, plays, part, SearchOptions((), nthread))
     base = search.refit([((), search.start)], 1)[0]
-    alone = _descended(search, [base], library.candidates)[:KEPT]
+    alone = _descended(search, [base], library.candidates, waves)[:KEPT]
     best = [refit for refit in alone if acts(refit) == acts(alone[0])]
     more: list[Refit] = []
-    if best and best[0].cost > SETTINGS.law_complete:
-        here = [c for c in library.candidates if owner[c.name][0].acts == acts(best[0])]
+    if best and dependence.first and best[0].cost > SETTINGS.law_complete:
+        here = [c for c in library.candidates if owner[c.name][0].acts == acts(best[0]) and c.name not in waves]
         enough = best[0].cost - max(SETTINGS.material, SETTINGS.share * best[0].cost)
-        more = [refit for refit in _descended(search, best, here)[:KEPT] if refit.cost <= enough]
+        more = [refit for refit in _descended(search, best, here, {})[:KEPT] if refit.cost <= enough]
     laws = []
     without = _left_out(search, base)
     for refit in [*alone, *more]:
@@ -79,17 +87,32 @@ def single_terms(
     return laws
 
 
-def _descended(search: Search, begun: Sequence[Refit], candidates: Sequence[Candidate]) -> list[Refit]:
-    """Refits with one more term than any of some has, best first, of those that promise most to first order."""
-    promised: dict[frozenset[str], tuple[float, Job]] = {}
+def _descended(
+    search: Search, begun: Sequence[Refit], candidates: Sequence[Candidate], waves: Mapping[str, Array]
+) -> list[Refit]:
+    """Refits with one more term than any of some has, best first, of those that promise most to first order.
+
+    Args:
+        waves: candidate that is a wave -> (s, k) values at which it begins. Such a one is descended from several.
+    """
+    promised: dict[frozenset[str], list[TrialPoint]] = {}
+    sets: dict[frozenset[str], tuple[Candidate, ...]] = {}
     for refit in begun:
-        for point in search.trial_points([refit], candidates):
+        points = search.trial_points([refit], [c for c in candidates if c.name not in waves])
+        for candidate in (c for c in candidates if c.name in waves):
+            points += search.trial_points([refit], [candidate], waves[candidate.name])
+        for point in points:
             added = (*search.library.of(refit.effects), point.candidate)
             key = frozenset(c.name for c in added)
-            if key not in promised or point.promised < promised[key][0]:
-                promised[key] = point.promised, (added, point.values)
-    most = sorted(promised.values(), key=lambda one: one[0])[:PROMISING]
-    return search.best_of([job for _, job in most], TERM_ROUNDS)
+            sets.setdefault(key, added)
+            promised.setdefault(key, []).append(point)
+    ordered = {key: sorted(points, key=lambda point: point.promised) for key, points in promised.items()}
+    jobs: list[Job] = []
+    for key in sorted(ordered, key=lambda key: ordered[key][0].promised)[:PROMISING]:
+        own = ordered[key]
+        chosen = _periods_apart(search, own) if own[0].candidate.name in waves else own[:1]
+        jobs += [(sets[key], point.values) for point in chosen]
+    return search.best_of(jobs, TERM_ROUNDS)
 
 
 def _fitted(chosen: Chosen, name: str, refit: Refit, library: Library) -> Chosen:
@@ -113,8 +136,8 @@ def _explained(without: Array, left: Array, samples: int) -> Explained:
 def _terms(
     design: Design, dependence: Depends, dictionaries: Sequence[Dictionary]
 ) -> Iterator[tuple[Dependence, Chosen]]:
-    """Every term that is no wave, of a typical size and the shape that is best in the linear problem, with what it is
-    over.
+    """Every term but waves of sensors and the command, of a typical size and the shape that is best in the linear
+    problem, with what it is over.
     """
     error = OF_MOTION * max(float(np.ptp(p.motion.angle)) for p in design.plays)
     loads = np.concatenate([p.motion.load for p in design.plays])
@@ -125,9 +148,9 @@ def _terms(
         linear, motions = Predictor(about), [p.motion for p in about.plays]
         for term in terms:
             way = _way(dependence, acts, term)
-            if way is None or "period" in [n.name for n in term.numbers]:
+            if way is None or (term.waves and number is not None):
                 continue
-            shape, _ = best_shape(about, linear, term, number, {})
+            shape = _middle(term.shape) if term.waves else best_shape(about, linear, term, number, {})[0]
             moves = np.concatenate([term.columns(m, shape) for m in motions])
             yield way, _typical(term, shape, size / max(float(np.sqrt(np.mean(moves**2))), 1e-12))
 
@@ -145,11 +168,34 @@ def _typical(term: Term, shape: float, size: float) -> Chosen:
     values = {}
     for number in term.numbers:
         shapes = not number.switches or (term.shape and len(term.numbers) == 1)
-        begins = number.begins if np.isfinite(number.begins) else shape
+        begins = number.begins if np.isfinite(number.begins) else shape if number.times else 0.0
         values[number.name] = begins if shapes else min(size, number.most)
     numbers = tuple(_roomy(n) for n in term.numbers)
     return Chosen(replace(term, numbers=numbers), values)
 
 
 def _roomy(number: Number) -> Number:
-    return replace(number, times=max(number.times, FARTHEST))
+    return replace(number, times=max(number.times, FARTHEST)) if number.times else number
+
+
+def _middle(periods: Sequence[float]) -> float:
+    """The geometric mean of the shortest and the longest."""
+    return float(np.sqrt(min(periods) * max(periods)))
+
+
+def _begun(chosen: Chosen) -> Array:
+    """(s, 3) size, period and phase at which waves begin."""
+    longest = max(chosen.term.shape)
+    shortest = min(chosen.term.shape) if chosen.term.acts == "torque" else longest * LEAST_WAVES / MOST_PLACES
+    periods = np.geomspace(shortest, longest, 1 + round(np.log(longest / shortest) / APART))
+    return np.array([(chosen.values["size"], period, phase) for period in periods for phase in PHASES])
+
+
+def _periods_apart(search: Search, points: Sequence[TrialPoint]) -> list[TrialPoint]:
+    """The best points of a wave, best first, of periods that are no neighbours."""
+    kept: list[TrialPoint] = []
+    column = search.columns(points[0].candidate)[1]
+    for point in points:
+        if all(abs(np.log(point.values[column] / other.values[column])) > 2.0 * APART for other in kept):
+            kept.append(point)
+    return kept[:WAVES]
