@@ -52,7 +52,8 @@ def waves(live: Live, site: Site, values: Values) -> None:
 WAVES = Effect(
     "waves", "Waves", "Hidden in the rig.", "torque = A sin(2 pi angle / L)",
     (Parameter("size", "N m", 0.0, 1.0, 0.0, 0.05, "0 to what holds the pendulum"),),
-    stage="force", mark="The axis rests at even distances.", shows="by_angle", confused_with=(), separated_by="", step=waves,
+    stage="force", mark="The axis rests at even distances.", shows="by_angle", confused_with=(), separated_by="",
+    step=waves,
 )  # fmt: skip
 
 

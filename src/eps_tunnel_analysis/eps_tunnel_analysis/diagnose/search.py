@@ -42,8 +42,9 @@ AWAY = (0.4, 0.8)  # spans from a refit at which other valleys are looked for, a
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to fit
+LONGER = 4.0  # times, by which steps of descents may be longer than those that judge
 STANDS = 0.1  # floors by which half the step may change an answer that is accurate enough
-#: times its cost and the noise floor: a refit that the coarse step gets wrong by more goes on at the fine one
+#: times its cost and the noise floor: a refit that longer steps get wrong by more goes on at shorter ones
 ROUGH = 0.2
 
 Level = Literal["coarse", "fine", "exact", "own"]
@@ -72,7 +73,6 @@ class Search:
         difference: float = DIFFERENCE,
     ) -> None:
         self.library, self.levels, self.used = library, dict(levels), used
-        self._corrected = levels["exact"] is not levels["fine"]  # by ticks, or by the shorter steps of the ball
         self.evidence = levels["coarse"]
         infos = library.model.parameters()
         self.low = np.array([infos[name].low for name in library.names])
@@ -227,23 +227,23 @@ class Search:
         self._idle[base] = shows < SETTINGS.unfelt
 
     def refine_at(self, values: Array) -> bool:
-        """Halves the steps of the judging levels until the answer at these values (K,) is accurate; whether any was."""
-        shorter = False
-        asked: tuple[tuple[Level, bool], ...] = ("fine", self.levels["fine"].extrapolate), ("exact", self._corrected)
-        for level in (level for level, wanted in asked if wanted):
-            here = self.residuals(values[None], level)[0]
-            while self.levels[level].shortest > self._finest:
-                finer = self.levels[level].finer()
-                there = finer(values[None])[0, self.used] / self.scale
-                self.evaluations += 1
-                remaining, changed = self._worst(here), float(np.mean((there - here) ** 2))
-                if self.levels[level].extrapolate:  # contacts and ticks change what is left by chance
-                    changed = max(changed, abs(self._worst(there) - remaining))
-                if changed <= max(STANDS, SETTINGS.form * remaining):
-                    break
-                self.levels[level], here, shorter = finer, there, True
-        if not self._corrected:
-            self.levels["exact"] = self.levels["fine"]
+        """Halves the steps of the level that judges until the answer at these values (K,) is accurate; whether any was.
+
+        Descents take steps up to LONGER times as long, corrected by that level.
+        """
+        shorter, here = False, self.residuals(values[None], "exact")[0]
+        while self.levels["exact"].shortest > self._finest:
+            finer = self.levels["exact"].finer()
+            there = finer(values[None])[0, self.used] / self.scale
+            self.evaluations += 1
+            remaining, changed = self._worst(here), float(np.mean((there - here) ** 2))
+            if finer.extrapolate:  # contacts and ticks change what is left by chance
+                changed = max(changed, abs(self._worst(there) - remaining))
+            if changed <= max(STANDS, SETTINGS.form * remaining):
+                break
+            self.levels["exact"], here, shorter = finer, there, True
+        while self.levels["fine"].shortest > LONGER * self.levels["exact"].shortest:
+            self.levels["fine"] = self.levels["fine"].finer()
         return shorter
 
     def _worst(self, residuals: Array) -> float:
@@ -366,16 +366,35 @@ class Search:
         return [*best_by_set([*judged, *self._looked_around(judged)]), *ordered[len(near) :]]
 
     def judged(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
-        """Jobs descended at the fine level, corrected at each one's own values by the exact one, and judged by that."""
-        if not self._corrected:
+        """Jobs descended at the fine level, corrected at each one's own values by the exact one, and judged by that.
+
+        What the fine level gets wrong there, as it may where a joint creeps, is descended at the exact one, if that
+        only has shorter steps.
+        """
+        if self.levels["exact"] is self.levels["fine"]:
             return self.refit(jobs, rounds, "fine")
         if not jobs:
             return []
         points = np.array([values for _, values in jobs])
         first = self.residuals(points, "exact")
         shifts = first - self.residuals(points, "fine")
+        wrong = self._differ(shifts, np.mean(first**2, axis=1))
+        if wrong.any() and self.levels["exact"].extrapolate:
+            direct = iter(self.refit([job for job, bad in zip(jobs, wrong, strict=True) if bad], rounds, "exact"))
+            near = iter(self._corrected([job for job, bad in zip(jobs, wrong, strict=True) if not bad], rounds,
+                                        first[~wrong], shifts[~wrong]))  # fmt: skip
+            return [next(direct if bad else near) for bad in wrong]
+        return self._corrected(jobs, rounds, first, shifts)
+
+    def _corrected(self, jobs: Sequence[Job], rounds: int, first: Array, shifts: Array) -> list[Refit]:
+        """Jobs descended at the fine level with `shifts` (jobs, R) added.
+
+        Args:
+            first: (jobs, R) their exact residuals.
+        """
+        points = np.array([values for _, values in jobs])
         best: list[Refit] = []
-        for share in PASSES:
+        for share in PASSES if jobs else ():
             at = [(candidates, point) for (candidates, _), point in zip(jobs, points, strict=True)]
             refits = self.refit(at, round(share * rounds), "fine", shifts)
             if not best:  # a correction that misleads leaves each where it was
@@ -387,6 +406,11 @@ class Search:
             exact = [with_residuals(r, row) for r, row in zip(refits, shown, strict=True)]
             best = [min(pair, key=lambda r: r.objective) for pair in zip(best, exact, strict=True)]
         return best
+
+    @staticmethod
+    def _differ(shifts: Array, costs: Array) -> NDArray[np.bool_]:
+        """(n,) whether residuals that steps change by shifts (n, R) are wrong, beside costs (n,)."""
+        return np.asarray(np.mean(shifts**2, axis=1) > ROUGH * np.maximum(costs, 1.0))
 
     def as_run(self, refit: Refit) -> Refit:
         """A refit with its values fitted at the model's own steps, so that they allow for these steps' error."""
@@ -435,8 +459,8 @@ class Search:
         if not refits:
             return []
         finer = self.residuals(np.array([r.values for r in refits]), "fine")
-        off = np.mean((finer - np.array([r.residuals for r in refits])) ** 2, axis=1)
-        return [bool(o > ROUGH * max(r.cost, 1.0)) for o, r in zip(off, refits, strict=True)]
+        shifts = finer - np.array([r.residuals for r in refits])
+        return [bool(wrong) for wrong in self._differ(shifts, np.array([r.cost for r in refits]))]
 
     def _scanned(self, refits: Sequence[Refit]) -> list[Refit]:
         """Refits from the best of values around each one's ticks, whose misfit has no slope to descend."""
