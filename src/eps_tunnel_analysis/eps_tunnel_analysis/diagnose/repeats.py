@@ -89,13 +89,13 @@ def _drift(apart: Array, step: float) -> float:
     Args:
         apart: (p, T) of each trial from the mean of all.
     """
-    at: Array = np.arange(len(apart), dtype=np.float64) - 0.5 * (len(apart) - 1)
+    at = np.arange(len(apart), dtype=np.float64) - 0.5 * (len(apart) - 1)
     offsets = np.asarray(apart.mean(axis=1), dtype=np.float64)
     slope = _slope(at, offsets)
-    scatter = np.sqrt(np.sum((offsets - slope * at) ** 2) / (len(at) - 2) / (at @ at))
+    between = float(np.sum((offsets - slope * at) ** 2) / (len(at) - 2) / (at @ at))
     parts = np.array_split(apart, max(2, round(apart.shape[1] * step / SETTINGS.block)), axis=1)
     each = np.array([_slope(at, np.asarray(part.mean(axis=1), dtype=np.float64)) for part in parts])
-    scatter = max(float(scatter), float(each.std(ddof=1)) / np.sqrt(len(each)))
+    scatter = max(between, float(each.var(ddof=1)) / len(each)) ** 0.5
     white = np.sqrt(0.5 * np.mean(np.diff(apart, axis=1) ** 2) / apart.shape[1])
     whole = slope * (len(at) - 1)
     one_way = bool(np.all(np.diff(offsets) > 0) or np.all(np.diff(offsets) < 0))
