@@ -28,7 +28,7 @@ def test_friction_in_one_joint_of_an_arm_is_named(tmp_path: Path) -> None:
     """Three joints; six take minutes, which the benchmark takes."""
     model = arm(tmp_path, 3)
     assert coupled_axes(model) == [("a0",), ("a1", "a2")]
-    _, named = timed_diagnosis(model, motion(model, 2.0), ("coulomb_friction", "gravity_load"))
+    named = timed_diagnosis(model, motion(model, 2.0), ("coulomb_friction", "gravity_load")).named
     assert named == (HIDDEN,)
 
 

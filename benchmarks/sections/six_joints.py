@@ -10,7 +10,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
-from ten_diagnoses import SEED, seconds_of_diagnosis, timed_diagnosis
+from ten_diagnoses import SEED, timed_diagnosis
 from testbed_cases import draw, play, rig
 
 from eps_tunnel_analysis.sequence_file import find_sequence
@@ -39,12 +39,12 @@ def measure() -> dict[str, float]:
     labyrinth = play(rig((hide("gravity_load", "y"),)), command, SEED)
     with tempfile.TemporaryDirectory() as folder:
         model = arm(Path(folder))
-        six, named = timed_diagnosis(model, motion(model))
-    one = seconds_of_diagnosis(draw(SEED)[2], labyrinth)
+        six = timed_diagnosis(model, motion(model))
+    one = timed_diagnosis(draw(SEED)[2], labyrinth).seconds
     return {
-        "six_joint_diagnosis": six / one,
-        "six_joint_named": float(named == (HIDDEN,)),
-        "six_joint_seconds": six,
+        "six_joint_diagnosis": six.seconds / one,
+        "six_joint_named": float(six.named == (HIDDEN,)),
+        "six_joint_seconds": six.seconds,
         "six_joint_labyrinth_seconds": one,
     }
 

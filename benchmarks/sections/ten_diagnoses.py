@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Seconds of a diagnosis over those of 1,000 bare roll-outs of the same play in the C loop, on as many cores.
 
-Ten fixed cases on the emulated testbed: five trials of excite_12s, the whole library.
+Ten fixed cases on the emulated testbed: five trials of excite_12s, the whole library. The ratio is the product of how
+many thousand roll-outs a diagnosis takes and of what one of them costs, in bare ones.
 """
 
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,10 +41,21 @@ CASES = {
 }
 
 
+@dataclass(frozen=True)
+class Timed:
+    """A diagnosis: its seconds, its roll-outs, and the effects that it names."""
+
+    seconds: float
+    rollouts: int
+    named: tuple[str, ...]
+
+
 def measure() -> dict[str, float]:
-    """`diagnosis_vs_1000_rollouts`, the median, `worst_vs_1000_rollouts`, and each case's own."""
+    """`diagnosis_vs_1000_rollouts`, the median, `worst_vs_1000_rollouts`, and each case's own; the medians of roll-outs
+    and of their cost.
+    """
     sequence = find_sequence("excite_12s").commands[0]
-    ratios, seconds = {}, []
+    ratios, seconds, rollouts = {}, [], []
     with tempfile.TemporaryDirectory() as folder:
         program = build_loop(Path(folder))
         for number, (name, hidden) in enumerate(CASES.items()):
@@ -50,29 +63,29 @@ def measure() -> dict[str, float]:
             recorded = play(rig(tuple(hide(*one) for one in hidden)), sequence, SEED + number)
             # Before and after, so that other work on the machine meets both alike.
             bare = [seconds_of_loop(program, model, recorded, Path(folder))]
-            seconds.append(seconds_of_diagnosis(model, recorded))
+            timed = timed_diagnosis(model, recorded)
+            seconds.append(timed.seconds)
+            rollouts.append(timed.rollouts)
             bare.append(seconds_of_loop(program, model, recorded, Path(folder)))
             ratios[name] = seconds[-1] / float(np.mean(bare))
-            print(f"  {name}: {ratios[name]:.3g}", file=sys.stderr, flush=True)
+            print(f"  {name}: {ratios[name]:.3g}, {timed.rollouts} roll-outs", file=sys.stderr, flush=True)
     every = list(ratios.values())
     return {
         "diagnosis_vs_1000_rollouts": float(np.median(every)),
         "worst_vs_1000_rollouts": max(every),
         "diagnosis_seconds": float(np.median(seconds)),
+        "diagnosis_rollouts": float(np.median(rollouts)),
+        "diagnosis_rollout_vs_bare": float(np.median(ROLLOUTS * np.array(every) / np.array(rollouts))),
         **{f"diagnosis_vs_1000_rollouts_{name}": ratio for name, ratio in ratios.items()},
     }
 
 
-def seconds_of_diagnosis(model: Model, recorded: Play) -> float:
-    return timed_diagnosis(model, recorded)[0]
-
-
-def timed_diagnosis(model: Model, recorded: Play, only: tuple[str, ...] | None = None) -> tuple[float, tuple[str, ...]]:
-    """Seconds of a diagnosis by the whole library, or by some of it, and the effects that it names."""
+def timed_diagnosis(model: Model, recorded: Play, only: tuple[str, ...] | None = None) -> Timed:
+    """A diagnosis by the whole library, or by some of it."""
     started = time.perf_counter()
     diagnosis = diagnose(model, [recorded], only=only, experiments=False)
     named = diagnosis.verdict.effects if diagnosis.verdict.verdict == "effect" else ()
-    return time.perf_counter() - started, named
+    return Timed(time.perf_counter() - started, diagnosis.verdict.evaluations, named)
 
 
 def seconds_of_loop(program: Path, model: Model, recorded: Play, folder: Path) -> float:
