@@ -16,17 +16,19 @@ from effect_laws import LAWS, STEP, drive_scene, every_scene, played
 from eps_tunnel_analysis.diagnose.added_force import Playing
 from eps_tunnel_analysis.law.effect_file import declared, effect_file, seen_mark
 from eps_tunnel_analysis.law.formula import Chosen, command_dictionary, dictionary, sensor_dictionary
+from eps_tunnel_analysis.law.missing_force import SWINGS
 from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.build import own_inertia
 from labyrinth_sim.model import load_model
 from labyrinth_sim.trials import Trials
 
 SIZE = 0.2  # of the drive's torque, root mean square, that each term adds
 OFF = 0.01  # rad, root mean square, that each term of a sensor adds
 FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck", "viscous", "drag", "uneven",
-          "trailing", "creeping", "swinging", "load", "tight", "places", "fading", "warming", "coupling",
+          "trailing", "creeping", "swinging", "link", "load", "tight", "places", "fading", "warming", "coupling",
           "rubbing")  # fmt: skip
 # Others are in TOGETHER.
-BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "tight", "places", "coupling", "rubbing")
+BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "link", "tight", "places", "coupling", "rubbing")
 SENSORS = ("offset", "scale", "bend", "wave", "late", "play", "far_end")
 COMMANDS = ("offset", "scale", "wave", "ticks", "late", "lag", "limit", "profile")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",
@@ -63,7 +65,8 @@ def recorded():
 
 def design():
     """What a dictionary asks of a design."""
-    made = SimpleNamespace(plays=[SimpleNamespace(motion=recorded()[2])])
+    inertia = SWINGS * own_inertia(recorded()[0], "x")
+    made = SimpleNamespace(plays=[SimpleNamespace(motion=recorded()[2])], missing=SimpleNamespace(inertia=inertia))
     made.at = lambda signal: made
     return made
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a model to a compiled MuJoCo model and the places its effects act on."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -89,14 +90,9 @@ def compiled(model: Model, with_ball: bool, timestep: float | None = None) -> Pl
 def coupled_axes(model: Model) -> list[tuple[str, ...]]:
     """The axes, grouped by coupling of their inertia above COUPLED, as in an arm."""
     plan = compiled(model, with_ball=False)
-    mj, data = plan.mj, mujoco.MjData(plan.mj)
     own = [{site.dof, site.load_dof} for _, _, site in plan.drives]
-    whole = np.zeros((mj.nv, mj.nv))
     felt = np.zeros((len(own), len(own)), dtype=bool)
-    for angle in (0.0, 0.3, 1.0):
-        data.qpos[:] = mj.qpos0 + angle if mj.nq == mj.nv else mj.qpos0
-        mujoco.mj_forward(mj, data)
-        mujoco.mj_fullM(mj, data, whole)
+    for whole in _inertias(plan.mj):
         scale = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
         share = np.abs(whole) / np.maximum(scale, 1e-300)
         felt |= [[any(share[i, j] > COUPLED for i in a for j in b) for b in own] for a in own]
@@ -110,6 +106,24 @@ def coupled_axes(model: Model) -> list[tuple[str, ...]]:
 def axes_couple(model: Model) -> bool:
     """Whether any axes are coupled by inertia."""
     return any(len(group) > 1 for group in coupled_axes(model))
+
+
+def own_inertia(model: Model, axis: str) -> float:
+    """kg m^2 (kg where it slides) of an axis's driven joint, the others being free: the least of a few poses."""
+    plan = compiled(model, with_ball=False)
+    dof = next(site.dof for _, _, site in plan.drives if site.the_axis.name == axis)
+    return min(float(1.0 / np.linalg.inv(whole)[dof, dof]) for whole in _inertias(plan.mj))
+
+
+def _inertias(mj: mujoco.MjModel) -> Iterator[Array]:
+    """(nv, nv) inertia in a few poses."""
+    data = mujoco.MjData(mj)
+    for angle in (0.0, 0.3, 1.0):
+        data.qpos[:] = mj.qpos0 + angle if mj.nq == mj.nv else mj.qpos0
+        mujoco.mj_forward(mj, data)
+        whole = np.zeros((mj.nv, mj.nv))
+        mujoco.mj_fullM(mj, data, whole)
+        yield whole
 
 
 def build_spec(model: Model) -> tuple[mujoco.MjSpec, Plan]:

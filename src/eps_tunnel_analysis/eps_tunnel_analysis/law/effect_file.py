@@ -22,7 +22,7 @@ NAME = "proposed_effect"
 SIGNIFICANT = 3  # figures of a typical value in the file
 FIRST_SLOT = 3  # of a law's memory, that holds what a term follows; before it are time, time since reversal, direction
 SHOWS = {
-    "torque": "by_angle", "friction": "loop", "damping": "passing",
+    "torque": "by_angle", "friction": "loop", "damping": "passing", "link": "livelier",
     "sensor": "by_angle", "late": "late", "play": "loop", "far_end": "livelier",
     "target": "by_angle", "stepped_target": "stairs", "target_late": "late", "target_lag": "late",
     "target_limit": "passing", "target_profile": "late",
@@ -47,6 +47,7 @@ MISTAKEN = {
     "torque": ("gravity_load", "return_spring", "positioning_error"),
     "friction": ("coulomb_friction", "load_friction", "stribeck_friction"),
     "damping": ("viscous_friction", "supply_sag"),
+    "link": ("belt_compliance", "sensor_lag"),
     "sensor": ("sensor_gain", "sensor_bias"),
     "late": ("sensor_delay", "sensor_lag"),
     "play": ("backlash", "sensor_quantisation"),
@@ -58,6 +59,8 @@ MISTAKEN = {
     "target_limit": ("rate_limit", "torque_saturation"),
     "target_profile": ("motion_profile", "command_delay"),
 }
+TOUCHES = {"friction": "dof_frictionloss", "damping": "dof_damping", "link": "dof_armature"}
+"""What a term of a force acts as -> the model's field that its law writes."""
 FILTERS = {
     "target": "Map(lambda target: target + {sum})",
     "stepped_target": "Map(lambda target: rounded(target, {sum}))",
@@ -110,8 +113,7 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
     equation = equation_of(terms)
     if not shows:
         shows = "coupled" if needs == {"other_axis"} and acts[0] == "torque" else SHOWS[acts[0]]
-    touches = tuple({"friction": "dof_frictionloss", "damping": "dof_damping"}[a] for a in dict.fromkeys(acts)
-                    if a in ("friction", "damping"))  # fmt: skip
+    touches = tuple(TOUCHES[a] for a in dict.fromkeys(acts) if a in TOUCHES)
     own = [f"{name}_{n.name}" for c, name in zip(terms, names, strict=True) for n in c.term.numbers]
     follows = {name: c.term.follows for c, name in zip(terms, names, strict=True) if c.term.follows}
     body = _step(code, needs, own, follows) if hook == "step" else _filtered(code, hook)
@@ -225,6 +227,10 @@ def _step(
         ]
     if "memory" in needs or follows:
         lines.append("    s.memory[0] = time + s.step")
+    if "link" in code:  # what swings on the joint is no longer a part of it
+        (inertia,) = code["link"]
+        swings = inertia.removesuffix("_inertia")
+        lines += [f"    s.armature[s.dof] -= {inertia}", f"    s.applied[s.dof] -= {inertia} * {swings}_followed"]
     if "torque" in code:
         lines.append(f"    s.applied[s.dof] += {' + '.join(code['torque'])}")
     if "friction" in code:

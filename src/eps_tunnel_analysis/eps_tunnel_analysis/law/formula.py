@@ -80,7 +80,7 @@ class Term:
 
     Attributes:
         name: prefix of its parameters.
-        acts: "torque", "friction", "damping", or a key of OF_A_SENSOR or OF_A_COMMAND.
+        acts: "torque", "friction", "damping", "link", or a key of OF_A_SENSOR or OF_A_COMMAND.
         formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, `target`,
             the law's state `s`, and `{followed}`, which follows what `follows` names.
         equation: the same for people.
@@ -209,6 +209,11 @@ def dictionary(design: Design) -> list[Term]:
              (Number("inertia", "kg m^2", True, 3.0, True, least=0.0), Number("frequency", "rad/s", False, 1.5),
               Number("damping", "1", False, 10.0, begins=DAMPED)), tuple(float(w) for w in FREQUENCIES),
              lambda m, w: _column(-swing(m, w)), "", SWING),
+        Term("link", "link", "{inertia}", "J (angle'' - z''), z'' = w^2 (angle - z) + 2 d w (speed - z')",
+             (Number("inertia", "kg m^2", True, 3.0, True, design.missing.inertia, least=0.0),
+              Number("frequency", "rad/s", False, 1.5), Number("damping", "1", False, 10.0, begins=DAMPED)),
+             tuple(float(w) for w in FREQUENCIES),
+             lambda m, w: _column(np.gradient(m.speed, m.time) - swing(m, w)), "", SWING),
         Term("load", "friction", "{share} * carried", "mu |load| sign(speed)",
              (Number("share", "1", True, 3.0, True, MOST_SHARE),), (), lambda m, _: _column(moving(m) * m.load)),
         Term("tight", "friction", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",

@@ -21,6 +21,7 @@ from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import steps_within
 from eps_tunnel_analysis.simulated import Play
+from labyrinth_sim.build import own_inertia
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
@@ -34,6 +35,7 @@ SMOOTH = np.geomspace(1e-3, 1e3, 7)  # of the curvature's weight, tried
 COLUMNS_AT_ONCE = 512  # columns of an inverse
 LEFT_OUT = 4  # neighbouring samples, left out together
 FOLDS = 2
+SWINGS = 0.95  # of a joint's inertia, the most that may swing on it
 PASSES = 6  # linearisations at most, and
 AS_PROMISED = 0.1  # of the residuals' change by which a roll-out may differ from what its linearisation promised
 DIFFERENCE = 1e-3  # of a value's span
@@ -92,6 +94,7 @@ class MissingForce:
         worst: that of the worst signal without the force: others with a wide floor would hide it.
         side: of the axis that it acts on, "motor" or "load".
         unforced: the plays linearised about the model's own motion, without the force; `plays` by default.
+        inertia: kg m^2 (kg where it slides), the most that may swing on the joint instead of moving with it.
         commanded: for each play (R, n) the answer of the residuals, about the model's own motion, to an offset of the
             command at each node, 1/rad; empty unless asked for.
     """
@@ -106,6 +109,7 @@ class MissingForce:
     side: str = "motor"
     unforced: tuple[PlayAnswer, ...] = field(default=(), repr=False)
     commanded: tuple[csr_array, ...] = field(default=(), repr=False)
+    inertia: float = float("inf")
 
     def __post_init__(self) -> None:
         if not self.unforced:
@@ -187,7 +191,7 @@ def missing_force(
     worst = worst_floors(without, np.concatenate([a.signal for a in answers]))
     return MissingForce(
         part.name, part.signals, "N" if slides else "N m", tuple(answers), smoothness, floors, worst, side, unforced,
-        answers_commanded,
+        answers_commanded, SWINGS * own_inertia(model, part.name),
     )  # fmt: skip
 
 
