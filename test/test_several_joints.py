@@ -19,7 +19,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.doubts import notes_of
 from eps_tunnel_analysis.diagnose.free_curves import free_curves
-from labyrinth_sim.build import COUPLED, coupled_axes
+from labyrinth_sim.build import COUPLED, compiled, coupled_axes, own_inertia
 from labyrinth_sim.model import load_model
 
 
@@ -86,3 +86,20 @@ def shared(file: Path) -> float:
     mujoco.mj_fullM(mj, data, whole)
     own = np.sqrt(np.diag(whole))
     return float(np.abs(whole[-1, :-1] / own[-1] / own[:-1]).max())
+
+
+def test_a_joint_has_the_inertia_that_a_torque_feels_while_the_others_are_free(tmp_path: Path) -> None:
+    model = arm(tmp_path, 3)
+    mj = compiled(model, with_ball=False).mj
+    felt = []
+    for angle in (0.0, 0.3, 1.0):
+        accelerations = []
+        for torque in (0.0, 0.1):
+            data = mujoco.MjData(mj)
+            data.qpos[:] = angle
+            data.qfrc_applied[1] = torque
+            mujoco.mj_forward(mj, data)
+            accelerations.append(data.qacc[1])
+        felt.append(0.1 / (accelerations[1] - accelerations[0]))
+    assert own_inertia(model, "a1") == pytest.approx(min(felt), rel=1e-6)
+    assert min(felt) < 0.98 * max(felt)
