@@ -31,7 +31,7 @@ from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
-from eps_tunnel_analysis.diagnose.search import LONGER, Search
+from eps_tunnel_analysis.diagnose.search import STEPS_LONGER, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import command_response
 from eps_tunnel_analysis.simulated import Play
@@ -446,7 +446,7 @@ def test_steps_are_halved_until_the_answer_stands(recorded: list[Play], share: f
     assert search.refine_at(search.start) is shorter
     fine, exact = search.levels["fine"].shortest, search.levels["exact"].shortest
     assert (exact < steps) is (exact < fine) is shorter  # descents stay faster
-    assert fine <= LONGER * exact
+    assert fine <= STEPS_LONGER * exact
 
 
 @pytest.mark.parametrize("alike", [True, False])

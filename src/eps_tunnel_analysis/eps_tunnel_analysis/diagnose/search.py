@@ -42,7 +42,7 @@ AWAY = (0.4, 0.8)  # spans from a refit at which other valleys are looked for, a
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
 FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to fit
-LONGER = 4.0  # times, by which steps of descents may be longer than those that judge
+STEPS_LONGER = 4.0  # times, by which steps of descents may be longer than those that judge
 STANDS = 0.1  # floors by which half the step may change an answer that is accurate enough
 #: times its cost and the noise floor: a refit that longer steps get wrong by more goes on at shorter ones
 ROUGH = 0.2
@@ -229,7 +229,7 @@ class Search:
     def refine_at(self, values: Array) -> bool:
         """Halves the steps of the level that judges until the answer at these values (K,) is accurate; whether any was.
 
-        Descents take steps up to LONGER times as long, corrected by that level.
+        Descents begin with steps up to STEPS_LONGER times as long, corrected by that level.
         """
         shorter, here = False, self.residuals(values[None], "exact")[0]
         while self.levels["exact"].shortest > self._finest:
@@ -242,7 +242,7 @@ class Search:
             if changed <= max(STANDS, SETTINGS.form * remaining):
                 break
             self.levels["exact"], here, shorter = finer, there, True
-        while self.levels["fine"].shortest > LONGER * self.levels["exact"].shortest:
+        while self.levels["fine"].shortest > STEPS_LONGER * self.levels["exact"].shortest:
             self.levels["fine"] = self.levels["fine"].finer()
         return shorter
 
@@ -368,8 +368,8 @@ class Search:
     def judged(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
         """Jobs descended at the fine level, corrected at each one's own values by the exact one, and judged by that.
 
-        What the fine level gets wrong there, as it may where a joint creeps, is descended at the exact one, if that
-        only has shorter steps.
+        If the exact one only has shorter steps, the last rounds take these; and all rounds of a job that the fine level
+        gets wrong, as it may where a joint creeps.
         """
         if self.levels["exact"] is self.levels["fine"]:
             return self.refit(jobs, rounds, "fine")
@@ -378,23 +378,28 @@ class Search:
         points = np.array([values for _, values in jobs])
         first = self.residuals(points, "exact")
         shifts = first - self.residuals(points, "fine")
+        if not self.levels["exact"].extrapolate:
+            return self._corrected(jobs, rounds, first, shifts, PASSES)
         wrong = self._differ(shifts, np.mean(first**2, axis=1))
-        if wrong.any() and self.levels["exact"].extrapolate:
-            direct = iter(self.refit([job for job, bad in zip(jobs, wrong, strict=True) if bad], rounds, "exact"))
-            near = iter(self._corrected([job for job, bad in zip(jobs, wrong, strict=True) if not bad], rounds,
-                                        first[~wrong], shifts[~wrong]))  # fmt: skip
-            return [next(direct if bad else near) for bad in wrong]
-        return self._corrected(jobs, rounds, first, shifts)
+        direct = iter(self.refit([job for job, bad in zip(jobs, wrong, strict=True) if bad], rounds, "exact"))
+        others = [job for job, bad in zip(jobs, wrong, strict=True) if not bad]
+        begun = self._corrected(others, rounds, first[~wrong], shifts[~wrong], PASSES[:1])
+        last = [(self.library.of(refit.effects), refit.values) for refit in begun]
+        near = iter(self.refit(last, round(PASSES[1] * rounds), "exact"))
+        return [next(direct if bad else near) for bad in wrong]
 
-    def _corrected(self, jobs: Sequence[Job], rounds: int, first: Array, shifts: Array) -> list[Refit]:
+    def _corrected(
+        self, jobs: Sequence[Job], rounds: int, first: Array, shifts: Array, passes: Sequence[float]
+    ) -> list[Refit]:
         """Jobs descended at the fine level with `shifts` (jobs, R) added.
 
         Args:
             first: (jobs, R) their exact residuals.
+            passes: shares of the rounds, after each of which the exact level corrects.
         """
         points = np.array([values for _, values in jobs])
         best: list[Refit] = []
-        for share in PASSES if jobs else ():
+        for share in passes if jobs else ():
             at = [(candidates, point) for (candidates, _), point in zip(jobs, points, strict=True)]
             refits = self.refit(at, round(share * rounds), "fine", shifts)
             if not best:  # a correction that misleads leaves each where it was

@@ -34,7 +34,7 @@ TERM_ROUNDS = 10  # of descent
 KEPT = 3
 PHASES = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)  # rad, of waves that are tried
 MOST_PLACES = 10.0  # half waves of friction within the visited range; more are found by the linear problem
-APART = 0.06  # between periods tried, relative
+SPACED = 0.06  # between periods tried, relative
 WAVES = 3  # periods from which a term that is a wave is descended
 STANDS_FOR = ("command", "direction")  # variables that are tried as forces, but that no term of a force is over
 
@@ -187,7 +187,7 @@ def _begun(chosen: Chosen) -> Array:
     """(s, 3) size, period and phase at which waves begin."""
     longest = max(chosen.term.shape)
     shortest = min(chosen.term.shape) if chosen.term.acts == "torque" else longest * LEAST_WAVES / MOST_PLACES
-    periods = np.geomspace(shortest, longest, 1 + round(np.log(longest / shortest) / APART))
+    periods = np.geomspace(shortest, longest, 1 + round(np.log(longest / shortest) / SPACED))
     return np.array([(chosen.values["size"], period, phase) for period in periods for phase in PHASES])
 
 
@@ -196,6 +196,6 @@ def _periods_apart(search: Search, points: Sequence[TrialPoint]) -> list[TrialPo
     kept: list[TrialPoint] = []
     column = search.columns(points[0].candidate)[1]
     for point in points:
-        if all(abs(np.log(point.values[column] / other.values[column])) > 2.0 * APART for other in kept):
+        if all(abs(np.log(point.values[column] / other.values[column])) > 2.0 * SPACED for other in kept):
             kept.append(point)
     return kept[:WAVES]
