@@ -55,7 +55,7 @@ def measure() -> dict[str, float]:
     and of their cost.
     """
     sequence = find_sequence("excite_12s").commands[0]
-    ratios, seconds, rollouts = {}, [], []
+    ratios, runs = {}, []
     with tempfile.TemporaryDirectory() as folder:
         program = build_loop(Path(folder))
         for number, (name, hidden) in enumerate(CASES.items()):
@@ -63,19 +63,18 @@ def measure() -> dict[str, float]:
             recorded = play(rig(tuple(hide(*one) for one in hidden)), sequence, SEED + number)
             # Before and after, so that other work on the machine meets both alike.
             bare = [seconds_of_loop(program, model, recorded, Path(folder))]
-            timed = timed_diagnosis(model, recorded)
-            seconds.append(timed.seconds)
-            rollouts.append(timed.rollouts)
+            runs.append(timed_diagnosis(model, recorded))
             bare.append(seconds_of_loop(program, model, recorded, Path(folder)))
-            ratios[name] = seconds[-1] / float(np.mean(bare))
-            print(f"  {name}: {ratios[name]:.3g}, {timed.rollouts} roll-outs", file=sys.stderr, flush=True)
+            ratios[name] = runs[-1].seconds / float(np.mean(bare))
+            print(f"  {name}: {ratios[name]:.3g}, {runs[-1].rollouts} roll-outs", file=sys.stderr, flush=True)
     every = list(ratios.values())
+    rollouts = np.array([run.rollouts for run in runs])
     return {
         "diagnosis_vs_1000_rollouts": float(np.median(every)),
         "worst_vs_1000_rollouts": max(every),
-        "diagnosis_seconds": float(np.median(seconds)),
+        "diagnosis_seconds": float(np.median([run.seconds for run in runs])),
         "diagnosis_rollouts": float(np.median(rollouts)),
-        "diagnosis_rollout_vs_bare": float(np.median(ROLLOUTS * np.array(every) / np.array(rollouts))),
+        "diagnosis_rollout_vs_bare": float(np.median(ROLLOUTS * np.array(every) / rollouts)),
         **{f"diagnosis_vs_1000_rollouts_{name}": ratio for name, ratio in ratios.items()},
     }
 

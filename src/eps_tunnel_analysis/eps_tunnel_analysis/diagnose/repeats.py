@@ -63,9 +63,9 @@ def _repeats(signal: str, unit: str, values: Array, step: float) -> Repeats:
     if len(values) < 3 or values.shape[1] < 10 * SMOOTH:
         return Repeats(signal, unit, 0.0, 0.0)
     mean = values.mean(axis=0)
-    offsets = (values - mean).mean(axis=1)
-    rest = values - mean - offsets[:, None]
-    drift = _drift(values - mean, step) if len(values) >= SETTINGS.drift_trials else 0.0
+    apart = values - mean
+    rest = apart - apart.mean(axis=1)[:, None]
+    drift = _drift(apart, step) if len(values) >= SETTINGS.drift_trials else 0.0
     speed = np.gradient(uniform_filter1d(mean, 5), step)
     jitter = _jitter(rest - _whole(rest, speed, step), speed)
     return Repeats(signal, unit, drift, jitter if jitter > step * OUT_OF_STEP else 0.0)

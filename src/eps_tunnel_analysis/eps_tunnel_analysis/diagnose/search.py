@@ -501,18 +501,18 @@ class Search:
         return around[best], residuals[best]
 
     def trial_points(
-        self, refits: Sequence[Refit], candidates: Sequence[Candidate], given: Array | None = None
+        self, refits: Sequence[Refit], candidates: Sequence[Candidate], given: Mapping[str, Array] | None = None
     ) -> list[TrialPoint]:
         """Every start of every candidate on top of each refit, by promised cost, best first.
 
-        On top of refits after the first, candidates with many starts are left out. `given` starts (s, k)
-        of the one candidate replace its own.
+        On top of refits after the first, candidates with many starts are left out. Where starts (s, k) are `given` for
+        a candidate, by its name, they replace its own.
         """
         points: list[TrialPoint] = []
         for number, refit in enumerate(refits):
             pending: list[tuple[Candidate, Array]] = []
             for candidate in (c for c in candidates if c.name not in refit.effects):
-                rows = starts(candidate) if given is None else given
+                rows = starts(candidate) if given is None or candidate.name not in given else given[candidate.name]
                 for row in rows if number == 0 or len(rows) <= FEW_STARTS else ():
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row

@@ -49,7 +49,7 @@ def tick_points(search: Search, on: Sequence[Refit], allowed: float) -> list[Tri
             finest = np.sqrt(12.0) * float(np.median(search.scale[here]))
             search.settle_at(refit)
             likely = likely_ticks(search, refit, candidate, axis, here, finest)
-            tried = search.trial_points([refit], [candidate], likely)
+            tried = search.trial_points([refit], [candidate], {candidate.name: likely})
             points += [replace(point, on=number) for point in tried]
     return sorted(points, key=lambda point: point.promised)
 

@@ -6,7 +6,7 @@ predict on stretches of time that were left out.
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -146,6 +146,11 @@ class Formula:
     interval: tuple[float, float]
 
 
+ON_SPRING = Number("frequency", "rad/s", False, 1.5), Number("damping", "1", False, 10.0, begins=DAMPED)
+"""Numbers of a mass on a damped spring, after its size."""
+SWINGING = tuple(float(w) for w in FREQUENCIES)
+
+
 def _column(values: Array) -> Array:
     return np.asarray(values[:, None])
 
@@ -178,6 +183,7 @@ def dictionary(design: Design) -> list[Term]:
     torque, per_rad = "N m", "N m/rad"
     size, lag = Number("size", torque, True, 3.0), Number("after", "s", False, 10.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
+    inertia = Number("inertia", "kg m^2", True, 3.0, True, least=0.0)
     terms = [
         Term("constant", "torque", "{size}", "T", (size,), (), lambda m, _: _column(np.ones_like(m.time))),
         Term("wave", "torque", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",
@@ -206,13 +212,9 @@ def dictionary(design: Design) -> list[Term]:
              (Number("stiffness", per_rad, True, 3.0, True), lag), times,
              lambda m, t: _column(-followed(m, m.angle, t)), "", "angle"),
         Term("swinging", "torque", "-{inertia} * {followed}", "-J z'', z'' = w^2 (angle - z) + 2 d w (speed - z')",
-             (Number("inertia", "kg m^2", True, 3.0, True, least=0.0), Number("frequency", "rad/s", False, 1.5),
-              Number("damping", "1", False, 10.0, begins=DAMPED)), tuple(float(w) for w in FREQUENCIES),
-             lambda m, w: _column(-swing(m, w)), "", SWING),
+             (inertia, *ON_SPRING), SWINGING, lambda m, w: _column(-swing(m, w)), "", SWING),
         Term("link", "link", "{inertia}", "J (angle'' - z''), z'' = w^2 (angle - z) + 2 d w (speed - z')",
-             (Number("inertia", "kg m^2", True, 3.0, True, design.missing.inertia, least=0.0),
-              Number("frequency", "rad/s", False, 1.5), Number("damping", "1", False, 10.0, begins=DAMPED)),
-             tuple(float(w) for w in FREQUENCIES),
+             (replace(inertia, most=design.missing.inertia), *ON_SPRING), SWINGING,
              lambda m, w: _column(np.gradient(m.speed, m.time) - swing(m, w)), "", SWING),
         Term("load", "friction", "{share} * carried", "mu |load| sign(speed)",
              (Number("share", "1", True, 3.0, True, MOST_SHARE),), (), lambda m, _: _column(moving(m) * m.load)),
@@ -257,8 +259,7 @@ def sensor_dictionary(design: Design) -> list[Term]:
         Term("play", "play", "{width}", "behind a play of w", (Number("width", "rad", True, 5.0, True, least=0.0),),
              tuple(float(w) for w in np.geomspace(0.003, 0.5, SHAPES) * (high - low)), _behind_a_play),
         Term("far_end", "far_end", "{share}, {frequency}, {damping}", "g (z - angle), z'' = w^2 (angle - z) + ...",
-             (Number("share", "1", True, 3.0, True, 2.0, least=0.0), Number("frequency", "rad/s", False, 1.5),
-              Number("damping", "1", False, 10.0, begins=DAMPED)), tuple(float(w) for w in FREQUENCIES),
+             (Number("share", "1", True, 3.0, True, 2.0, least=0.0), *ON_SPRING), SWINGING,
              lambda m, w: _column(-swing(m, w) / w**2)),
     ]  # fmt: skip
 

@@ -95,23 +95,17 @@ def _descended(
     Args:
         waves: candidate that is a wave -> (s, k) values at which it begins. Such a one is descended from several.
     """
-    promised: dict[frozenset[str], list[TrialPoint]] = {}
-    sets: dict[frozenset[str], tuple[Candidate, ...]] = {}
+    promised: dict[frozenset[str], tuple[tuple[Candidate, ...], list[TrialPoint]]] = {}
     for refit in begun:
-        points = search.trial_points([refit], [c for c in candidates if c.name not in waves])
-        for candidate in (c for c in candidates if c.name in waves):
-            points += search.trial_points([refit], [candidate], waves[candidate.name])
-        for point in points:
+        for point in search.trial_points([refit], candidates, waves):
             added = (*search.library.of(refit.effects), point.candidate)
-            key = frozenset(c.name for c in added)
-            sets.setdefault(key, added)
-            promised.setdefault(key, []).append(point)
-    ordered = {key: sorted(points, key=lambda point: point.promised) for key, points in promised.items()}
+            promised.setdefault(frozenset(c.name for c in added), (added, []))[1].append(point)
+    for _, points in promised.values():
+        points.sort(key=lambda point: point.promised)
     jobs: list[Job] = []
-    for key in sorted(ordered, key=lambda key: ordered[key][0].promised)[:PROMISING]:
-        own = ordered[key]
-        chosen = _periods_apart(search, own) if own[0].candidate.name in waves else own[:1]
-        jobs += [(sets[key], point.values) for point in chosen]
+    for added, points in sorted(promised.values(), key=lambda one: one[1][0].promised)[:PROMISING]:
+        chosen = _periods_apart(search, points) if points[0].candidate.name in waves else points[:1]
+        jobs += [(added, point.values) for point in chosen]
     return search.best_of(jobs, TERM_ROUNDS)
 
 
