@@ -380,8 +380,10 @@ def refitted_sets(
         worth = _explains(base, best)
         enough = partial(_enough, search, base, healthy=healthy, level=level, floor=floor)
 
-        def lacking(refit: Refit) -> bool:
-            return worst_floors(refit.residuals, search.signal) > enough(refit, refits)
+        def lacking(best: Refit) -> bool:
+            # What the best may leave for its form, one of a single form that fits as well may not.
+            alike = [r for r in refits if r.cost < best.cost + SETTINGS.material]
+            return any(worst_floors(r.residuals, search.signal) > enough(r, refits) for r in (best, *alike))
 
         if lacking(best):
             fitted = {r.effects: r for r in (base, best)}.values()
