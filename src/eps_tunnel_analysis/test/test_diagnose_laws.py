@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from eps_tunnel_analysis.diagnose import rank as rank_module
 from eps_tunnel_analysis.diagnose.axes import axis_verdict
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, inexact_share
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, inexact_share, lacks_more
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, joined
 from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.candidates import library
@@ -357,6 +357,22 @@ def test_the_form_of_an_effect_counts_for_what_that_effect_explains() -> None:
     assert shares[("delay.x",)] == shares[("delay.x", "tick.x")] == 0.0
     assert shares[("friction.x",)] == 1.0
     assert shares[("delay.x", "friction.x")] == pytest.approx(0.4), "beside the delay it explains 40, alone 10"
+
+
+def test_what_a_form_may_leave_a_rival_of_a_single_form_that_fits_as_well_may_not() -> None:
+    exact = {"torque.x": True, "load.x": False, "play.x": False}
+    found = {name: SimpleNamespace(effect=SimpleNamespace(exact=is_exact)) for name, is_exact in exact.items()}
+    library = SimpleNamespace(find=found.__getitem__)
+    search: Any = SimpleNamespace(library=library, signal=np.zeros(SAMPLES, dtype=np.int64))
+
+    def refit(names: tuple[str, ...], cost: float) -> Refit:
+        return Refit(names, np.zeros(1), np.full(SAMPLES, np.sqrt(cost)), cost, 3, True)
+
+    base, load = refit((), 171.0), refit(("load.x",), 3.0)
+    assert not lacks_more(search, base, load, [load])
+    assert lacks_more(search, base, load, [load, refit(("torque.x",), 3.2)])
+    assert not lacks_more(search, base, load, [load, refit(("torque.x",), 9.0)]), "what fits worse says nothing"
+    assert not lacks_more(search, base, refit(("load.x", "play.x"), 3.0), [refit(("torque.x",), 3.2)]), "one of fewer"
 
 
 def test_correlated_residuals_are_worth_fewer_samples() -> None:

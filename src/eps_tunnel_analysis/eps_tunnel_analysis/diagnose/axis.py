@@ -378,20 +378,14 @@ def refitted_sets(
         base, refits = refined(search, base, refits)
         best = lowest([base, *refits])
         worth = _explains(base, best)
-        enough = partial(_enough, search, base, healthy=healthy, level=level, floor=floor)
-
-        def lacking(best: Refit) -> bool:
-            # What the best may leave for its form, one of a single form that fits as well may not.
-            alike = [r for r in refits if r.cost < best.cost + SETTINGS.material]
-            return any(worst_floors(r.residuals, search.signal) > enough(r, refits) for r in (best, *alike))
-
-        if lacking(best):
+        lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
+        if lacking(best, refits):
             fitted = {r.effects: r for r in (base, best)}.values()
             ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
             refits = best_by_set([*refits, *ticks])
             best = lowest([best, *ticks])
             worth = _explains(base, best)
-        while worth and 0 < len(best.effects) < most and lacking(best):
+        while worth and 0 < len(best.effects) < most and lacking(best, refits):
             beside = begun(search, base, refits) if len(best.effects) == 1 else []
             more = next_refits(search, [best, *_runners_up(best, refits), *beside], PAIR_SHORTLIST)
             more += rival_refits(search, lowest(more), [*refits, *more]) if more else []
@@ -451,16 +445,22 @@ def _uneven(ranking: Ranking) -> Ranking:
     return replace(ranking, ranked=ranked, unknown=ranking.unknown + lost)
 
 
-def _enough(
-    search: Search, base: Refit, refit: Refit, refits: Sequence[Refit], healthy: float, level: float, floor: bool
-) -> float:
-    """Floors of the worst signal below which no further effect is tried on top of a refit.
+def lacks_more(
+    search: Search, base: Refit, best: Refit, refits: Sequence[Refit], healthy: float = SETTINGS.healthy,
+    level: float = 0.0, floor: bool = True,
+) -> bool:  # fmt: skip
+    """Whether the best of some refits, or a rival that fits as well, leaves so much that more may be missing.
 
-    Without repeated trials, only a misfit far beyond the sensors' noise shows that more is missing.
+    What an effect may leave for its form, one of a single form may not. Without repeated trials, only a misfit far
+    beyond the sensors' noise counts.
     """
-    inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-    allowed = healthy + SETTINGS.form * max(inexact * base.cost, level)
-    return (SETTINGS.close if floor else SETTINGS.unrepeated) * allowed
+    rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
+    for refit in (best, *rivals):
+        inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
+        allowed = healthy + SETTINGS.form * max(inexact * base.cost, level)
+        if worst_floors(refit.residuals, search.signal) > (SETTINGS.close if floor else SETTINGS.unrepeated) * allowed:
+            return True
+    return False
 
 
 def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:
