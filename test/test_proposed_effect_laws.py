@@ -25,14 +25,15 @@ from labyrinth_sim.trials import Trials
 SIZE = 0.2  # of the drive's torque, root mean square, that each term adds
 OFF = 0.01  # rad, root mean square, that each term of a sensor adds
 FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck", "viscous", "drag", "uneven",
-          "trailing", "creeping", "swinging", "link", "load", "tight", "places", "fading", "warming", "coupling",
-          "rubbing")  # fmt: skip
+          "trailing", "creeping", "swinging", "link", "bristles", "load", "tight", "places", "fading", "warming",
+          "coupling", "rubbing")  # fmt: skip
 # Others are in TOGETHER.
-BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "link", "tight", "places", "coupling", "rubbing")
+BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "link", "bristles", "tight", "places", "coupling", "rubbing")
 SENSORS = ("offset", "scale", "bend", "wave", "late", "play", "far_end")
 COMMANDS = ("offset", "scale", "wave", "ticks", "late", "lag", "limit", "profile")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",
-            "uneven + drag", "-viscous + drag", "-friction + load", "swinging + trailing + swinging")  # fmt: skip
+            "uneven + drag", "-viscous + drag", "-friction + load", "swinging + trailing + swinging",
+            "bristles + fading + link")  # fmt: skip
 LATE = ("offset + late", "late + wave + scale")
 COMMANDED = ("scale + late", "limit + wave")
 DICTIONARIES = {"force": dictionary, "sensor": sensor_dictionary, "command": command_dictionary}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from eps_tunnel_analysis.law.depends import SWING
-from eps_tunnel_analysis.law.formula import OF_A_COMMAND, OF_A_SENSOR, Chosen
+from eps_tunnel_analysis.law.formula import OF_A_COMMAND, OF_A_SENSOR, TRAVEL, Chosen
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect
 from labyrinth_sim.errors import InputError
@@ -22,7 +22,7 @@ NAME = "proposed_effect"
 SIGNIFICANT = 3  # figures of a typical value in the file
 FIRST_SLOT = 3  # of a law's memory, that holds what a term follows; before it are time, time since reversal, direction
 SHOWS = {
-    "torque": "by_angle", "friction": "loop", "damping": "passing", "link": "livelier",
+    "torque": "by_angle", "friction": "loop", "damping": "passing", "link": "livelier", "bristles": "loop",
     "sensor": "by_angle", "late": "late", "play": "loop", "far_end": "livelier",
     "target": "by_angle", "stepped_target": "stairs", "target_late": "late", "target_lag": "late",
     "target_limit": "passing", "target_profile": "late",
@@ -48,6 +48,7 @@ MISTAKEN = {
     "friction": ("coulomb_friction", "load_friction", "stribeck_friction"),
     "damping": ("viscous_friction", "supply_sag"),
     "link": ("belt_compliance", "sensor_lag"),
+    "bristles": ("lugre_friction", "coulomb_friction", "backlash"),
     "sensor": ("sensor_gain", "sensor_bias"),
     "late": ("sensor_delay", "sensor_lag"),
     "play": ("backlash", "sensor_quantisation"),
@@ -59,8 +60,9 @@ MISTAKEN = {
     "target_limit": ("rate_limit", "torque_saturation"),
     "target_profile": ("motion_profile", "command_delay"),
 }
-TOUCHES = {"friction": "dof_frictionloss", "damping": "dof_damping", "link": "dof_armature"}
+TOUCHES = {"friction": "dof_frictionloss", "damping": "dof_damping", "bristles": "dof_damping", "link": "dof_armature"}
 """What a term of a force acts as -> the model's field that its law writes."""
+BRISTLE_TIME = 1e-3  # s, damping over stiffness of bristles, which would swing without
 FILTERS = {
     "target": "Map(lambda target: target + {sum})",
     "stepped_target": "Map(lambda target: rounded(target, {sum}))",
@@ -206,7 +208,7 @@ def _step(
     lines += [f"    {name} = s.values[{i}]" for i, name in enumerate(names)]
     if "angle" in every or {"angle", SWING} & {*follows.values()}:
         lines.append("    angle = s.qpos[s.angle]")
-    if "speed" in every or {"speed", SWING} & {*follows.values()} or "memory" in needs:
+    if "speed" in every or {"speed", SWING, TRAVEL} & {*follows.values()} or "memory" in needs:
         lines.append("    speed = s.qvel[s.dof]")
     if "other" in every:
         lines.append("    other = s.qpos[s.drives[1 if s.channel == 0 else 0, 2]]")
@@ -216,8 +218,9 @@ def _step(
         lines.append("    time = s.memory[0]")
     slot = FIRST_SLOT
     for prefix, what in follows.items():
-        lines += _swinging(prefix, slot) if what == SWING else _late(prefix, what, slot)
-        slot += 2 if what == SWING else 1
+        of_two = {SWING: _swinging, TRAVEL: _bent}
+        lines += of_two[what](prefix, slot) if what in of_two else _late(prefix, what, slot)
+        slot += 2 if what in of_two else 1
     if "memory" in needs:
         lines += [
             "    direction = s.memory[2]",
@@ -231,6 +234,12 @@ def _step(
         (inertia,) = code["link"]
         swings = inertia.removesuffix("_inertia")
         lines += [f"    s.armature[s.dof] -= {inertia}", f"    s.applied[s.dof] -= {inertia} * {swings}_followed"]
+    if "bristles" in code:  # implicit in the step to come, so that any stiffness is stable
+        bristles = code["bristles"][0].partition("_size")[0]
+        lines += [
+            f"    s.applied[s.dof] -= {bristles}_pull * {bristles}_followed",
+            f"    s.damping[s.dof] += {bristles}_stiff * ({BRISTLE_TIME} + s.step) / {bristles}_slides",
+        ]
     if "torque" in code:
         lines.append(f"    s.applied[s.dof] += {' + '.join(code['torque'])}")
     if "friction" in code:
@@ -260,6 +269,23 @@ def _swinging(prefix: str, slot: int) -> list[str]:
         f"    {prefix}_followed += 2.0 * {prefix}_damping * {prefix}_frequency * (speed - {prefix}_rate)",
         f"    {prefix}_rate += s.step * {prefix}_followed",
         f"    s.memory[{slot}], s.memory[{slot + 1}] = {prefix}_place + s.step * {prefix}_rate, {prefix}_rate",
+    ]
+
+
+def _bent(prefix: str, slot: int) -> list[str]:
+    """Lines by which bristles bend with the joint's travel; they take two slots.
+
+    After a step h to a speed v' they are bent by z' = (z + h v') / (1 + h |v| / b), as far as the present speed v lets
+    them slide, and the torque F/b z' with its damping is linear in v'.
+    """
+    damps = f"{BRISTLE_TIME} / s.step"
+    return [
+        f"    {prefix}_slides = 1.0 + s.step * abs(speed) / {prefix}_bend",
+        f"    {prefix}_before = s.memory[{slot + 1}] if time > 0.0 else 1.0",
+        f"    {prefix}_followed = (s.memory[{slot}] + s.step * speed) / {prefix}_before if time > 0.0 else 0.0",
+        f"    s.memory[{slot}], s.memory[{slot + 1}] = {prefix}_followed, {prefix}_slides",
+        f"    {prefix}_stiff = {prefix}_size / {prefix}_bend",
+        f"    {prefix}_pull = {prefix}_stiff * ((1.0 + {damps}) / {prefix}_slides - {damps})",
     ]
 
 

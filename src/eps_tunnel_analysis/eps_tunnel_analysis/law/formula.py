@@ -19,6 +19,7 @@ from eps_tunnel_analysis.law.variables import (
     DAMPED,
     LATENESS,
     apart,
+    bent,
     commanded,
     followed,
     has_command,
@@ -49,6 +50,8 @@ OF_A_SENSOR = {"sensor": "curve_sensor", "late": "curve_sensor_speed", "play": "
 ADDS = ("torque", "friction", "damping", "sensor", "target")
 """What terms act as of which several add up; others are filters."""
 LEAST_LEFT = 1e-6  # of the misfit
+TRAVEL = "travel"
+"""What bristles follow that bend before they slide."""
 SURE = 0.0  # lower end of the interval of what one more term explains
 
 
@@ -80,7 +83,7 @@ class Term:
 
     Attributes:
         name: prefix of its parameters.
-        acts: "torque", "friction", "damping", "link", or a key of OF_A_SENSOR or OF_A_COMMAND.
+        acts: "torque", "friction", "damping", "link", "bristles", or a key of OF_A_SENSOR or OF_A_COMMAND.
         formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, `target`,
             the law's state `s`, and `{followed}`, which follows what `follows` names.
         equation: the same for people.
@@ -90,7 +93,8 @@ class Term:
         needs: "memory" for since and time, "other_axis".
         beside: further columns, for which no number stands.
         follows: "speed" or "angle", that a first-order memory follows, with the time constant `after`; SWING for the
-            acceleration of a mass on a spring, with `frequency` and `damping`; "" for none.
+            acceleration of a mass on a spring, with `frequency` and `damping`; TRAVEL for how far bristles are bent; ""
+            for none.
     """
 
     name: str
@@ -124,7 +128,8 @@ class Term:
         words = {*re.findall(r"\w+", self.formula), self.follows}
         friction = "_friction" if self.acts == "friction" else ""
         over = {"other": f"curve_other{friction}", "angle": f"curve_angle{friction}", "carried": "curve_load_friction",
-                "since": "curve_reversal", "time": "curve_time_friction", "speed": "curve_speed"}  # fmt: skip
+                "since": "curve_reversal", TRAVEL: "curve_reversal", "time": "curve_time_friction",
+                "speed": "curve_speed"}  # fmt: skip
         by_itself = "" if self.acts == "torque" else "curve_speed"  # friction and damping act against the motion
         return next((curve for word, curve in over.items() if word in words), by_itself)
 
@@ -180,6 +185,7 @@ def dictionary(design: Design) -> list[Term]:
     speeds = tuple(float(v) for v in np.geomspace(0.003, 0.5, SHAPES) * fast)
     times = tuple(float(t) for t in np.geomspace(0.02, 1.0, SHAPES))
     low, high, held = _visited(motions)
+    bends = tuple(float(b) for b in np.geomspace(0.002, 0.5, SHAPES) * (high - low))
     torque, per_rad = "N m", "N m/rad"
     size, lag = Number("size", torque, True, 3.0), Number("after", "s", False, 10.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
@@ -216,6 +222,9 @@ def dictionary(design: Design) -> list[Term]:
         Term("link", "link", "{inertia}", "J (angle'' - z''), z'' = w^2 (angle - z) + 2 d w (speed - z')",
              (replace(inertia, most=design.missing.inertia), *ON_SPRING), SWINGING,
              lambda m, w: _column(np.gradient(m.speed, m.time) - swing(m, w)), "", SWING),
+        Term("bristles", "bristles", "{size}, {bend}", "-F z, z' = (speed - |speed| z) / b",
+             (replace(size, signed=True, least=0.0), Number("bend", "rad", False, 10.0)), bends,
+             lambda m, b: _column(-bent(m, b)), "", TRAVEL),
         Term("load", "friction", "{share} * carried", "mu |load| sign(speed)",
              (Number("share", "1", True, 3.0, True, MOST_SHARE),), (), lambda m, _: _column(moving(m) * m.load)),
         Term("tight", "friction", "{size} * np.sin(2 * np.pi * angle / {period} + {phase})",

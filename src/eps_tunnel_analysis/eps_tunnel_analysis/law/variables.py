@@ -96,6 +96,20 @@ def followed(motion: Motion, values: Array, after: float) -> Array:
     return np.asarray(values[0] + lfilter([1.0 - keeps], [1.0, -keeps], values - values[0]))
 
 
+def bent(motion: Motion, over: float) -> Array:
+    """(K,) from -1 to 1, how far bristles are bent that bend over an angle before they slide: Dahl's friction.
+
+    `z' = (speed - |speed| z) / over`, whose steps are exact.
+    """
+    travel = motion.speed * np.diff(motion.time, prepend=motion.time[0])
+    keeps, ends = np.exp(-np.abs(travel) / over), np.sign(travel)
+    states, now = np.empty(len(travel)), 0.0
+    for k, (keep, end) in enumerate(zip(keeps.tolist(), ends.tolist(), strict=True)):
+        now = end + (now - end) * keep
+        states[k] = now
+    return states
+
+
 def target(motion: Motion) -> Array:
     """(K,) rad, the command; where the drive is off the joint's angle."""
     return np.where(np.isfinite(motion.command), motion.command, motion.angle)
