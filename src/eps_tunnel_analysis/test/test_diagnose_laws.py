@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from eps_tunnel_analysis.diagnose import rank as rank_module
 from eps_tunnel_analysis.diagnose.axes import axis_verdict
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, inexact_share, lacks_more
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, inexact_share, lacks_more, with_fewer_again
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, joined
 from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.candidates import library
@@ -373,6 +373,39 @@ def test_what_a_form_may_leave_a_rival_of_a_single_form_that_fits_as_well_may_no
     assert lacks_more(search, base, load, [load, refit(("torque.x",), 3.2)])
     assert not lacks_more(search, base, load, [load, refit(("torque.x",), 9.0)]), "what fits worse says nothing"
     assert not lacks_more(search, base, refit(("load.x", "play.x"), 3.0), [refit(("torque.x",), 3.2)]), "one of fewer"
+
+
+def test_an_effect_that_fits_better_with_the_values_of_a_pair_starts_again_there() -> None:
+    """The drive's one value, 0 or 1, lies in a valley that only the pair has left; tick and play are the others."""
+    columns = {"tick.x": [1], "play.x": [2]}
+    candidates = {name: SimpleNamespace(name=name) for name in columns}
+
+    def residuals(values: np.ndarray, level: str) -> np.ndarray:
+        drive, tick = values[:, 0], values[:, 1]
+        return np.repeat(np.sqrt(1.0 + 0.9 * (1.0 - drive) + 20.0 * (1.0 - tick))[:, None], SAMPLES, axis=1)
+
+    def refit(names: tuple[str, ...], drive: float, *, converged: bool = True) -> Refit:
+        values = np.array([drive, "tick.x" in names, "play.x" in names], dtype=float)
+        left = residuals(values[None], "exact")[0]
+        return Refit(names, values, left, float(np.mean(left**2)), 3, converged)
+
+    begun: list[tuple[str, ...]] = []
+
+    def judged(jobs: Sequence[tuple[Any, np.ndarray]], rounds: int) -> list[Refit]:
+        begun.extend(tuple(c.name for c in kept) for kept, _ in jobs)
+        return [refit(tuple(c.name for c in kept), float(v[0]), converged=False) for kept, v in jobs]
+
+    library = SimpleNamespace(find=candidates.__getitem__, of=lambda names: tuple(candidates[n] for n in names))
+    search: Any = SimpleNamespace(
+        library=library, columns=lambda candidate: columns[candidate.name], residuals=residuals, judged=judged,
+        start=np.zeros(3), low=np.zeros(3), high=np.ones(3), held_at=lambda values: 0.0,
+    )  # fmt: skip
+    pair = refit(("tick.x", "play.x"), 1.0)
+    base, refits = with_fewer_again(search, refit((), 1.0), [refit(("tick.x",), 0.0), pair])
+    assert begun == [("tick.x",)], "of what was never tried, and of the base, which lies there, none"
+    assert {r.effects: r.cost for r in refits} == pytest.approx({("tick.x",): 1.0, pair.effects: 1.0})
+    assert not base.effects
+    assert all(r.converged for r in refits)
 
 
 def test_correlated_residuals_are_worth_fewer_samples() -> None:

@@ -200,6 +200,26 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
     return bare, [replace(refit, converged=not misfits(refit)) for refit in by_set if refit.effects]
 
 
+def with_fewer_again(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The base and the refits; those that fit better with the values of a set that contains them start again there.
+
+    Else a further effect would be named because the drive's values left a wrong valley along with it.
+    """
+    known = {frozenset(r.effects): r for r in (base, *refits)}
+    jobs = [job for job in _without_one(search, refits) if frozenset(c.name for c in job[0]) in known]
+    if not jobs:
+        return base, list(refits)
+    there = np.mean(search.residuals(np.array([values for _, values in jobs]), "exact") ** 2, axis=1)
+    better = [
+        (kept, values)
+        for (kept, values), cost in zip(jobs, there, strict=True)
+        if MISFITTED * (cost + search.held_at(values)) < known[frozenset(c.name for c in kept)].objective
+    ]
+    again = (replace(r, converged=known[frozenset(r.effects)].converged) for r in search.judged(better, ROUNDS))
+    by_set = best_by_set([base, *refits, *again])
+    return next(r for r in by_set if not r.effects), [r for r in by_set if r.effects]
+
+
 def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
     """The best sets of effects, single ones included, each without one effect, at the values of the full set."""
     jobs: list[Job] = []
@@ -394,6 +414,7 @@ def refitted_sets(
             worth, best = _explains(best, better), better
         base, refits = nested_refits(search, base, refits)
         base, refits = refined(search, base, refits)
+        base, refits = with_fewer_again(search, base, refits)
     return base, refits
 
 

@@ -124,7 +124,8 @@ class Search:
         off = self.firmness * (values - self.start) / self.spans
         return float(np.sum(off**2)) / SETTINGS.correlated
 
-    def _held_at(self, values: Array) -> float:
+    def held_at(self, values: Array) -> float:
+        """What being far from what is stated adds to the cost of values (K,)."""
         return self.strain(values) * SETTINGS.correlated / len(self.used)
 
     def see_ticks(self, values: Array, agreement: Array | None = None) -> None:
@@ -338,7 +339,7 @@ class Search:
         return [
             Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],
                   float(np.mean(result.residuals[row, :size] ** 2)), int(free[row].sum()), bool(result.converged[row]),
-                  self._held_at(values[row]), result.steps[row])
+                  self.held_at(values[row]), result.steps[row])
             for row, (candidates, _) in enumerate(jobs)
         ]  # fmt: skip
 
@@ -403,7 +404,7 @@ class Search:
             at = [(candidates, point) for (candidates, _), point in zip(jobs, points, strict=True)]
             refits = self.refit(at, round(share * rounds), "fine", shifts)
             if not best:  # a correction that misleads leaves each where it was
-                begun = (replace(r, values=p, held=self._held_at(p)) for r, p in zip(refits, points, strict=True))
+                begun = (replace(r, values=p, held=self.held_at(p)) for r, p in zip(refits, points, strict=True))
                 best = [with_residuals(r, row) for r, row in zip(begun, first, strict=True)]
             points = np.array([r.values for r in refits])
             shown = self.residuals(points, "exact")
@@ -487,7 +488,7 @@ class Search:
                 reach = SCANNED * self.spans[column]
                 scanned = refit.values[column] + np.linspace(-reach, reach, SCAN)
                 best, residuals = self._best_of_column(refit.values, column, scanned, "exact")
-                best_refits.append(with_residuals(replace(refit, values=best, held=self._held_at(best)), residuals))
+                best_refits.append(with_residuals(replace(refit, values=best, held=self.held_at(best)), residuals))
         return best_refits
 
     def _best_of_column(
@@ -536,7 +537,7 @@ class Search:
 
     def at(self, values: Array, like: Refit) -> Refit:
         """The refit that has these values (K,)."""
-        there = replace(like, values=values, held=self._held_at(values))
+        there = replace(like, values=values, held=self.held_at(values))
         return with_residuals(there, self.residuals(values[None])[0])
 
     def moved(self, refit: Refit) -> Array:
