@@ -269,14 +269,23 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     speed, load = dependence("speed", "curve_speed", 0.7), dependence("load, as friction", "curve_load_friction", 0.72)
     found = Depends((load, speed), speed, (load,))
     chosen = Formula((Chosen(terms["load"], {"share": 0.1}), Chosen(terms["drag"], {"size": 0.1})), 0.8, (0.7, 0.9))
-    assert as_proposed(found, chosen, speed).first == load and as_proposed(found, chosen, speed).ties == (speed,)
+    assert as_proposed(found, chosen, speed, 0.8).first == load and as_proposed(found, chosen, speed, 0.8).ties == (
+        speed,
+    )
     chance = replace(found, dependences=(replace(load, named=False), speed))
-    assert as_proposed(chance, chosen, speed).first == speed
+    assert as_proposed(chance, chosen, speed, 0.8).first == speed
+    # A constant is nothing that a formula without any may be named for.
+    steady = replace(dependence("constant force", "curve_angle", 0.7), constant=True)
+    bare = Depends((steady, replace(load, named=False)), steady)
+    assert as_proposed(bare, chosen, steady, 0.8).first == replace(load, share=0.8)
+    assert as_proposed(bare, chosen, steady, 0.05).first == steady
+    with_it = replace(chosen, terms=(*chosen.terms, Chosen(terms["constant"], {"size": 0.1})))
+    assert as_proposed(bare, with_it, steady, 0.8).first == steady
     # What roll-outs found and the linear problem does not name stands first, with its share in roll-outs.
     own = replace(load, share=0.9)
-    by_roll_outs = as_proposed(Depends((speed, replace(load, named=False)), speed), chosen, own)
+    by_roll_outs = as_proposed(Depends((speed, replace(load, named=False)), speed), chosen, own, 0.9)
     assert by_roll_outs == Depends((own, speed), own, (speed,))
-    assert as_proposed(Depends((load,)), chosen, own).first is None
+    assert as_proposed(Depends((load,)), chosen, own, 0.9).first is None
     assert with_first(Depends((load, speed)), own) == Depends((own, speed), own)
     # A sensor may have the name of the axis.
     read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
@@ -289,7 +298,7 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     # Where roll-outs bear out nothing, no command is late.
     assert refuted(Depends((target, load), target, (load,))) == Depends((target, load), load)
     assert refuted(Depends((target,), target)).first is None
-    assert as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read).first == read
+    assert as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read, 0.8).first == read
 
 
 @pytest.mark.study

@@ -358,7 +358,7 @@ def propose(
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
         mark = seen_mark(model, declared(effect_file(law.terms)), best.way.place, plays[0])
         text = effect_file(law.terms, mark)
-        proposed = as_proposed(dependence, law, best.way)
+        proposed = as_proposed(dependence, law, best.way, 1.0 - best.refit.held_out / before.cost)
         if proposed.first and proposed.first is not first:
             table, band = _curve(design, positions, spans, proposed.first)
             bare = replace(bare, curve=table, curve_band=band, visit=visit(model, part.name, proposed.first, motions))
