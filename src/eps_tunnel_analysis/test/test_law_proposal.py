@@ -269,9 +269,8 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     speed, load = dependence("speed", "curve_speed", 0.7), dependence("load, as friction", "curve_load_friction", 0.72)
     found = Depends((load, speed), speed, (load,))
     chosen = Formula((Chosen(terms["load"], {"share": 0.1}), Chosen(terms["drag"], {"size": 0.1})), 0.8, (0.7, 0.9))
-    assert as_proposed(found, chosen, speed, 0.8).first == load and as_proposed(found, chosen, speed, 0.8).ties == (
-        speed,
-    )
+    proposed = as_proposed(found, chosen, speed, 0.8)
+    assert proposed.first == load and proposed.ties == (speed,)
     chance = replace(found, dependences=(replace(load, named=False), speed))
     assert as_proposed(chance, chosen, speed, 0.8).first == speed
     # A constant is nothing that a formula without any may be named for.

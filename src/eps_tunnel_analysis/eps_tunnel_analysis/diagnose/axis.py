@@ -475,13 +475,14 @@ def lacks_more(
     What an effect may leave for its form, one of a single form may not. Without repeated trials, only a misfit far
     beyond the sensors' noise counts.
     """
-    rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
-    for refit in (best, *rivals):
+
+    def allowed(refit: Refit) -> float:
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-        allowed = healthy + SETTINGS.form * max(inexact * base.cost, level)
-        if worst_floors(refit.residuals, search.signal) > (SETTINGS.close if floor else SETTINGS.unrepeated) * allowed:
-            return True
-    return False
+        share = SETTINGS.close if floor else SETTINGS.unrepeated
+        return share * (healthy + SETTINGS.form * max(inexact * base.cost, level))
+
+    rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
+    return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))
 
 
 def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:

@@ -216,9 +216,8 @@ def _step(
         lines.append("    carried = abs(s.actuator[s.dof] - s.passive[s.dof] + s.bias[s.dof])")
     if "memory" in needs or follows:
         lines.append("    time = s.memory[0]")
-    slot = FIRST_SLOT
+    slot, of_two = FIRST_SLOT, {SWING: _swinging, TRAVEL: _bent}
     for prefix, what in follows.items():
-        of_two = {SWING: _swinging, TRAVEL: _bent}
         lines += of_two[what](prefix, slot) if what in of_two else _late(prefix, what, slot)
         slot += 2 if what in of_two else 1
     if "memory" in needs:
