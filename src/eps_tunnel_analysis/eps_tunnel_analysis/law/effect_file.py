@@ -12,6 +12,7 @@ from eps_tunnel_analysis.law.depends import SWING
 from eps_tunnel_analysis.law.formula import OF_A_COMMAND, OF_A_SENSOR, TRAVEL, Chosen
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect
+from labyrinth_sim.effects.lugre_friction import BRISTLE_TIME
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.marks import MARKS, Pair
 from labyrinth_sim.model import Model
@@ -62,7 +63,6 @@ MISTAKEN = {
 }
 TOUCHES = {"friction": "dof_frictionloss", "damping": "dof_damping", "bristles": "dof_damping", "link": "dof_armature"}
 """What a term of a force acts as -> the model's field that its law writes."""
-BRISTLE_TIME = 1e-3  # s, damping over stiffness of bristles, which would swing without
 FILTERS = {
     "target": "Map(lambda target: target + {sum})",
     "stepped_target": "Map(lambda target: rounded(target, {sum}))",
