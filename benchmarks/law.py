@@ -70,7 +70,7 @@ RIGHT = {
     "command_delay": {"late"},
     "rate_limit": {"late"},
     "motion_profile": {"late"},
-    "cross_coupling": {"curve_other"},
+    "cross_coupling": {"curve_other", "curve_sensor_other", "other_command"},
     "sensor_gain": {"curve_sensor"},
     "sensor_bias": {"curve_sensor"},
     "sensor_delay": {"curve_sensor_speed"},
@@ -183,13 +183,19 @@ def figures(records: Sequence[Record]) -> dict[str, Any]:
 
 
 def _is_right(record: Record) -> bool:
-    return _of(record).get("curve") in RIGHT[record["hidden"][0]["effect"]]
+    return _of(record).get("curve") in _right(record)
 
 
 def _is_among(record: Record) -> bool:
     """Whether the right variable is among those reported as indistinguishable."""
     proposal = _of(record)
-    return bool({proposal.get("curve"), *proposal.get("ties", ())} & RIGHT[record["hidden"][0]["effect"]])
+    return bool({proposal.get("curve"), *proposal.get("ties", ())} & _right(record))
+
+
+def _right(record: Record) -> set[str]:
+    """What the hidden effect depends on; by any of its names, where its form is literally that of several."""
+    hidden = record["hidden"][0]
+    return set().union(*(RIGHT.get(name, set()) for name in (hidden["effect"], *hidden["also"])))
 
 
 def _is_half(record: Record) -> bool | None:

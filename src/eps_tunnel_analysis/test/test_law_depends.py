@@ -23,7 +23,7 @@ def motion(angle: Array, command: Array) -> Motion:
     since = TIME - TIME[turns[np.searchsorted(turns, np.arange(len(TIME)), side="right") - 1]]
     load = 0.2 + 0.1 * np.abs(np.sin(1.3 * TIME))
     none = np.empty(0)
-    return Motion(TIME, angle, speed, direction, since, load, 0.0 * TIME, command, none)
+    return Motion(TIME, angle, speed, direction, since, load, 0.0 * TIME, command, none, none)
 
 
 def said(angle: Array, force: Array, seed: int = 0, command: Array | None = None) -> Depends:

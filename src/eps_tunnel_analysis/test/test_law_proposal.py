@@ -3,10 +3,11 @@
 
 import json
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -24,7 +25,9 @@ from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_firs
 from eps_tunnel_analysis.law.proposal import (
     Confirmation,
     Proposal,
+    Refitted,
     confirmed,
+    fewer_terms,
     propose,
     runs_away,
 )
@@ -44,6 +47,7 @@ from labyrinth_sim.trials import Trials
 SIZE, PERIOD, PHASE = 0.03, 0.35, 0.5  # N m, rad, rad: of the waves that are hidden
 PART = AxisPart(("pendulum",), ("pendulum",), ())
 SECONDS = 4.0
+WITHIN = 0.7, 0.95  # an interval of a share
 
 
 def waves(live: Live, site: Site, values: Values) -> None:
@@ -269,22 +273,22 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     speed, load = dependence("speed", "curve_speed", 0.7), dependence("load, as friction", "curve_load_friction", 0.72)
     found = Depends((load, speed), speed, (load,))
     chosen = Formula((Chosen(terms["load"], {"share": 0.1}), Chosen(terms["drag"], {"size": 0.1})), 0.8, (0.7, 0.9))
-    proposed = as_proposed(found, chosen, speed, 0.8)
+    proposed = as_proposed(found, chosen, speed, 0.8, WITHIN)
     assert proposed.first == load and proposed.ties == (speed,)
     chance = replace(found, dependences=(replace(load, named=False), speed))
-    assert as_proposed(chance, chosen, speed, 0.8).first == speed
+    assert as_proposed(chance, chosen, speed, 0.8, WITHIN).first == speed
     # A constant is nothing that a formula without any may be named for.
     steady = replace(dependence("constant force", "curve_angle", 0.7), constant=True)
     bare = Depends((steady, replace(load, named=False)), steady)
-    assert as_proposed(bare, chosen, steady, 0.8).first == replace(load, share=0.8)
-    assert as_proposed(bare, chosen, steady, 0.05).first == steady
+    assert as_proposed(bare, chosen, steady, 0.8, WITHIN).first == replace(load, share=0.8, interval=WITHIN)
+    assert as_proposed(bare, chosen, steady, 0.05, WITHIN).first == steady
     with_it = replace(chosen, terms=(*chosen.terms, Chosen(terms["constant"], {"size": 0.1})))
-    assert as_proposed(bare, with_it, steady, 0.8).first == steady
+    assert as_proposed(bare, with_it, steady, 0.8, WITHIN).first == steady
     # What roll-outs found and the linear problem does not name stands first, with its share in roll-outs.
     own = replace(load, share=0.9)
-    by_roll_outs = as_proposed(Depends((speed, replace(load, named=False)), speed), chosen, own, 0.9)
+    by_roll_outs = as_proposed(Depends((speed, replace(load, named=False)), speed), chosen, own, 0.9, WITHIN)
     assert by_roll_outs == Depends((own, speed), own, (speed,))
-    assert as_proposed(Depends((load,)), chosen, own, 0.9).first is None
+    assert as_proposed(Depends((load,)), chosen, own, 0.9, WITHIN).first is None
     assert with_first(Depends((load, speed)), own) == Depends((own, speed), own)
     # A sensor may have the name of the axis.
     read = replace(speed, variable="speed, as a sensor's error", curve="curve_sensor_speed")
@@ -297,7 +301,31 @@ def test_a_term_says_what_it_depends_on_and_that_is_named(missing: MissingForce)
     # Where roll-outs bear out nothing, no command is late.
     assert refuted(Depends((target, load), target, (load,))) == Depends((target, load), load)
     assert refuted(Depends((target,), target)).first is None
-    assert as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read, 0.8).first == read
+    assert as_proposed(tied, Formula((Chosen(terms["offset"], {}),), 0.8, (0.7, 0.9)), read, 0.8, WITHIN).first == read
+
+
+def test_a_formula_keeps_no_term_that_another_one_stood_for(missing: MissingForce) -> None:
+    """The best of two terms, and what it leaves without either, as if roll-outs had said so."""
+    terms = {t.name: Chosen(t, {n.name: 0.1 for n in t.numbers}) for t in dictionary(Design.of(missing))}
+    way = Dependence("speed", "curve_speed", "a", 0.7, (0.0, 1.0), 0.1, True)
+
+    def attempt(names: tuple[str, ...], left: float) -> Any:
+        law, refit = Formula(tuple(terms[name] for name in names), 0.9, (0.8, 1.0)), Refitted({}, {}, {}, left, left)
+        return SimpleNamespace(law=law, refit=refit, way=way, numbers=sum(len(c.term.numbers) for c in law.terms))
+
+    def kept(best: Any, leaves: dict[tuple[str, ...], float]) -> tuple[str, ...]:
+        def attempts(laws: Iterable[Formula], way: Dependence) -> list[Any]:
+            names = (tuple(c.term.name for c in law.terms) for law in laws)
+            return [attempt(n, leaves[n]) for n in names if n in leaves]
+
+        return tuple(c.term.name for c in fewer_terms([best], best, attempts)[-1].law.terms)
+
+    two = attempt(("wave", "viscous"), 1.0)
+    assert kept(two, {("wave",): 200.0, ("viscous",): 1.2}) == ("viscous",)
+    assert kept(two, {("wave",): 200.0, ("viscous",): 9.0, ("viscous", "wave"): 1.0}) == ("viscous", "wave")
+    assert kept(two, {("wave",): 9.0, ("viscous",): 200.0}) == ("wave", "viscous")
+    three = attempt(("wave", "viscous", "spring"), 1.0)
+    assert kept(three, {("viscous", "spring"): 1.1, ("spring",): 1.3, ("viscous",): 50.0}) == ("spring",)
 
 
 @pytest.mark.study

@@ -58,6 +58,12 @@ class Site:
         assert self.axis is not None
         return self.axis
 
+    @property
+    def other_seen(self) -> tuple[int, ...]:
+        """The column of the first other axis's first position among the rig's signals; empty where there is none."""
+        positions = [p for other in self.others[:1] for p in self.rig.axes[other].positions[:1]]
+        return tuple(self.rig.signals.index(p) for p in positions)
+
 
 def axis_site(rig: Rig, channel: int, model: mujoco.MjModel | None = None, signal: str | None = None) -> Site:
     """The place of an axis; indices are filled in from `model`."""

@@ -110,6 +110,15 @@ def test_curve_sensor(model_of: ModelOf) -> None:
     assert seen == pytest.approx(0.5 * TIME + 0.1 * (0.5 * TIME - 0.4), abs=1e-6)
 
 
+@checks("curve_sensor_other", "angle' = angle + F(other angle)" + CENTRED)
+def test_curve_sensor_other(model_of: ModelOf) -> None:
+    """Joints that start at zero, of which the other one moves; the drives are off."""
+    model = model_of("pair").with_effect("curve_sensor_other", "a", {**LINE, "centre": 0.4, "half": 0.9})
+    seen = play(model, TIME, b_speed=0.5)
+    assert seen["b"] == pytest.approx(0.5 * TIME, abs=1e-6)
+    assert seen["a"] == pytest.approx(0.1 * (0.5 * TIME - 0.4), abs=1e-6)
+
+
 @checks("curve_sensor_speed", "angle' = angle + F(speed), F through 10 values over -most to most")
 def test_curve_sensor_speed(model_of: ModelOf) -> None:
     """A line over the root of (almost) the speed, which is how its knots lie."""

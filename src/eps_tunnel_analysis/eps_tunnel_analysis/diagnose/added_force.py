@@ -37,6 +37,7 @@ class Motion:
         drive: (K,) of the motor, signed.
         command: (K,) target during each step, NaN where the drive is off.
         other: (K,) angle of the first other axis; empty if there is none.
+        other_command: (K,) its target, 0 where its drive is off; empty likewise.
     """
 
     time: Array
@@ -48,6 +49,7 @@ class Motion:
     drive: Array
     command: Array
     other: Array
+    other_command: Array
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -212,12 +214,13 @@ class Playing:
         )  # fmt: skip
         seen = self.forces.recorded()[:count]
         angle, speed, load, drive, other = seen.T
-        step = evidence.step(0)
+        step, others = evidence.step(0), len(self.model.rig.axes) > 1
+        targets = np.nan_to_num(evidence.commands[0][: len(seen)])
         direction, since = _reversals(speed, step)
         return Motion(
             evidence.times(0)[: len(seen)], angle, speed, direction, since, np.abs(load), drive,
             evidence.commands[0][: len(seen), self._channel],
-            other if len(self.model.rig.axes) > 1 else np.empty(0),
+            *((other, targets[:, 0 if self._channel else 1]) if others else (np.empty(0), np.empty(0))),
         )  # fmt: skip
 
 

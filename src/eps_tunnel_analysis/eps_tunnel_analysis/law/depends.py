@@ -15,6 +15,7 @@ from eps_tunnel_analysis.law.variables import (
     ERROR_OF_COMMAND,
     LATENESS,
     OF_SENSORS,
+    OVER_OTHER,
     Variable,
     constants,
     has_command,
@@ -39,6 +40,8 @@ SWING = "swing"
 """What a mass that swings on the joint is over; there is no free curve of it."""
 OF_COMMAND = "command"
 """What an error of the command over the command is over."""
+OF_OTHER = "other_command"
+"""What an error of the command over the other axis's command is over."""
 LATE = "late"
 """What a command that takes effect late is over."""
 FRICTION = (
@@ -47,6 +50,7 @@ FRICTION = (
 """Free curves that are dry friction if they are constant, which a curve over the speed can be, too."""
 PLAIN = (
     "curve_speed", "curve_angle", "curve_load_friction", "curve_sensor", "curve_sensor_speed", "curve_other",
+    "curve_sensor_other",
     "curve_angle_friction", "curve_other_friction", "curve_reversal", "curve_time", "curve_time_friction",
 )  # fmt: skip
 """Free curves, the plainest first: of those that explain as much as the best, the first one is named. Friction over
@@ -117,9 +121,9 @@ class Dependence:
 
     @property
     def over(self) -> str:
-        """What a term that fits it is over: the free curve's variable, SWING, LATE or OF_COMMAND."""
+        """What a term that fits it is over: the free curve's variable, SWING, LATE, OF_COMMAND or OF_OTHER."""
         if self.of_command:
-            return LATE if self.late else OF_COMMAND
+            return LATE if self.late else OF_OTHER if self.curve in OVER_OTHER else OF_COMMAND
         return SWING if self.frequency else self.curve
 
     @property
@@ -233,7 +237,7 @@ def varying(
     waving_by_chance |= {
         v.signal: max(of_waves, c)
         for v, c in zip(every, chances, strict=False)
-        if v.curve == OF_SENSORS[0] or v.signal == COMMAND
+        if v.curve == OF_SENSORS[0] or v.name == ERROR_OF_COMMAND
     }
     explained += waves(judge, positions, waving_by_chance, seed, ratios)
     explained.append(swings(judge, of_swings, seed))

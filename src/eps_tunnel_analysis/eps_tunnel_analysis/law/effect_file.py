@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from eps_tunnel_analysis.law.depends import SWING
-from eps_tunnel_analysis.law.formula import OF_A_COMMAND, OF_A_SENSOR, TRAVEL, Chosen
+from eps_tunnel_analysis.law.formula import ADDS, OF_A_COMMAND, OF_A_SENSOR, TRAVEL, Chosen
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect
 from labyrinth_sim.effects.lugre_friction import BRISTLE_TIME
@@ -26,7 +26,7 @@ SHOWS = {
     "torque": "by_angle", "friction": "loop", "damping": "passing", "link": "livelier", "bristles": "loop",
     "sensor": "by_angle", "late": "late", "play": "loop", "far_end": "livelier",
     "target": "by_angle", "stepped_target": "stairs", "target_late": "late", "target_lag": "late",
-    "target_limit": "passing", "target_profile": "late",
+    "target_limit": "passing", "target_profile": "late", "sensor_other": "coupled", "target_other": "coupled",
 }  # fmt: skip
 """What a term acts as -> its mark, where no roll-out says which."""
 LOOKS = {
@@ -54,7 +54,9 @@ MISTAKEN = {
     "late": ("sensor_delay", "sensor_lag"),
     "play": ("backlash", "sensor_quantisation"),
     "far_end": ("sensor_lag", "belt_compliance"),
+    "sensor_other": ("cross_coupling", "sensor_bias"),
     "target": ("positioning_error", "gain_error"),
+    "target_other": ("cross_coupling", "gravity_load"),
     "stepped_target": ("command_quantisation", "dead_band"),
     "target_late": ("command_delay", "rate_limit"),
     "target_lag": ("motion_profile", "command_delay"),
@@ -65,6 +67,7 @@ TOUCHES = {"friction": "dof_frictionloss", "damping": "dof_damping", "bristles":
 """What a term of a force acts as -> the model's field that its law writes."""
 FILTERS = {
     "target": "Map(lambda target: target + {sum})",
+    "target_other": "Added(lambda other: {sum}, site.others[:1])",
     "stepped_target": "Map(lambda target: rounded(target, {sum}))",
     "target_late": "Delay({sum}, step, start)",
     "target_lag": "Lag({sum}, step)",
@@ -75,6 +78,7 @@ FILTERS = {
     "play": "Play({sum})",
     "late": "Delay({sum}, step, start, smooth=True)",
     "sensor": "Map(lambda angle: angle + {sum})",
+    "sensor_other": "Added(lambda other: {sum}, site.other_seen)",
 }
 """What a term of a sensor or the command acts as -> the filter that it is, with the sum of such terms; in the order of
 the rig.
@@ -154,13 +158,13 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
         f"    confused_with={MISTAKEN[acts[0]]!r},".replace("'", '"'),
         '    separated_by="Play another command: a law holds there as well.",',
     ]
+    if "other_axis" in needs:
+        lines += ['    needs=("other_axis",),', "    couples=True,"]
     if sensor:
         lines += ['    where="signal",', "    measure=measure,"]
     elif command:
         lines.append("    command=command,")
     else:
-        if "other_axis" in needs:
-            lines += ['    needs=("other_axis",),', "    couples=True,"]
         if touches:
             lines.append(f"    touches={touches!r},".replace("'", '"'))
         lines.append("    step=step,")
@@ -169,7 +173,7 @@ def effect_file(terms: Sequence[Chosen], shows: str = "") -> str:
 
 def _code(chosen: Chosen, prefix: str) -> str:
     if chosen.term.acts in OF_A_SENSOR | OF_A_COMMAND:
-        each = "[:, None]" if chosen.term.acts in ("sensor", "target") else ""
+        each = "[:, None]" if chosen.term.acts in ADDS else ""
         return chosen.term.formula.format(**{n.name: f'values["{prefix}_{n.name}"]{each}' for n in chosen.term.numbers})
     places = {n.name: f"{prefix}_{n.name}" for n in chosen.term.numbers} | {"followed": f"{prefix}_followed"}
     return chosen.term.formula.format(**places).replace("np.abs", "abs").replace("np.", "math.")

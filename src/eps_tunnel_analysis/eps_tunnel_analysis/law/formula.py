@@ -12,7 +12,7 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.added_force import Motion
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.law.depends import FREQUENCIES, LATE, OF_COMMAND, SWING, refined
+from eps_tunnel_analysis.law.depends import FREQUENCIES, LATE, OF_COMMAND, OF_OTHER, SWING, refined
 from eps_tunnel_analysis.law.design import COMMAND, Design, Predictor
 from eps_tunnel_analysis.law.variables import (
     A_WAVE,
@@ -41,13 +41,14 @@ SHAPES = 9  # values tried of a speed or time that shapes a term
 MOST_SHARE = 0.45  # of the load, as friction: just below 0.5, where a gear locks itself
 TICKS = 27  # sizes tried, of the command's ticks
 OF_A_COMMAND = {
-    "target": OF_COMMAND, "stepped_target": OF_COMMAND, **dict.fromkeys((f"target_{name}" for name in LATENESS), LATE),
+    "target": OF_COMMAND, "stepped_target": OF_COMMAND, "target_other": OF_OTHER,
+    **dict.fromkeys((f"target_{name}" for name in LATENESS), LATE),
 }  # fmt: skip
 """What a term of the command acts as -> what it is over."""
 OF_A_SENSOR = {"sensor": "curve_sensor", "late": "curve_sensor_speed", "play": "curve_sensor_speed",
-               "far_end": SWING}  # fmt: skip
+               "far_end": SWING, "sensor_other": "curve_sensor_other"}  # fmt: skip
 """What a term of a sensor acts as -> the free curve over its variable."""
-ADDS = ("torque", "friction", "damping", "sensor", "target")
+ADDS = ("torque", "friction", "damping", "sensor", "sensor_other", "target", "target_other")
 """What terms act as of which several add up; others are filters."""
 LEAST_LEFT = 1e-6  # of the misfit
 TRAVEL = "travel"
@@ -84,8 +85,9 @@ class Term:
     Attributes:
         name: prefix of its parameters.
         acts: "torque", "friction", "damping", "link", "bristles", or a key of OF_A_SENSOR or OF_A_COMMAND.
-        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other`, `target`,
-            the law's state `s`, and `{followed}`, which follows what `follows` names.
+        formula: with numbers in braces, as code over `angle`, `speed`, `carried`, `since`, `time`, `other` (in a
+            command, the other axis's), `target`, the law's state `s`, and `{followed}`, which follows what `follows`
+            names.
         equation: the same for people.
         numbers: those of the formula, amplitudes first.
         shape: values of the number that is not linear; empty where all are. A term's only number may be one.
@@ -120,7 +122,7 @@ class Term:
 
     @property
     def over(self) -> str:
-        """The free curve over the variable that it depends on; SWING, LATE or OF_COMMAND; "" of a constant."""
+        """The free curve over its variable; SWING, LATE, OF_COMMAND or OF_OTHER; "" of a constant."""
         if self.follows == SWING:
             return SWING
         if self.acts in OF_A_SENSOR | OF_A_COMMAND:
@@ -255,9 +257,14 @@ def sensor_dictionary(design: Design) -> list[Term]:
     low, high, held = _visited([p.motion for p in design.plays])
     size = Number("size", "rad", True, 3.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
+    share = Number("share", "1", True, 3.0)
+    coupled = [
+        Term("coupled", "sensor_other", "{share} * other", "c other", (share,), (), lambda m, _: _column(m.other),
+             "other_axis"),
+    ] if all(p.motion.other.size for p in design.plays) else []  # fmt: skip
     return [
         Term("offset", "sensor", "{size} + 0.0 * angle", "b", (size,), (), lambda m, _: _column(np.ones_like(m.angle))),
-        Term("scale", "sensor", "{share} * angle", "g angle", (Number("share", "1", True, 3.0),), (),
+        Term("scale", "sensor", "{share} * angle", "g angle", (share,), (),
              lambda m, _: _column(m.angle)),
         Term("bend", "sensor", f"{{size}} * np.clip(angle, {low}, {high})**2", f"c angle^2, {held}",
              (Number("size", "1/rad", True, 3.0),), (), lambda m, _: _column(m.angle**2)),
@@ -270,6 +277,7 @@ def sensor_dictionary(design: Design) -> list[Term]:
         Term("far_end", "far_end", "{share}, {frequency}, {damping}", "g (z - angle), z'' = w^2 (angle - z) + ...",
              (Number("share", "1", True, 3.0, True, 2.0, least=0.0), *ON_SPRING), SWINGING,
              lambda m, w: _column(-swing(m, w) / w**2)),
+        *coupled,
     ]  # fmt: skip
 
 
@@ -282,7 +290,7 @@ def command_dictionary(design: Design) -> list[Term]:
     motions = [p.motion for p in design.at(COMMAND).plays]
     span = max(float(np.ptp(target(m))) for m in motions)
     waves = tuple(float(p) for p in periods(design, COMMAND))
-    size = Number("size", "rad", True, 3.0)
+    size, share = Number("size", "rad", True, 3.0), Number("share", "1", True, 3.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
     least = A_WAVE * apart(design)
     ticks = tuple(float(t) for t in span / np.geomspace(60.0, 2.0, TICKS) if t >= least)
@@ -295,7 +303,7 @@ def command_dictionary(design: Design) -> list[Term]:
                "profile": ("slowness", "s^2/rad", "command, accelerated by 1 / s")}  # fmt: skip
     terms = [
         Term("offset", "target", "{size} + 0.0 * target", "b", (size,), (), lambda m, _: _column(np.ones_like(m.time))),
-        Term("scale", "target", "{share} * target", "g command", (Number("share", "1", True, 3.0),), (),
+        Term("scale", "target", "{share} * target", "g command", (share,), (),
              lambda m, _: _column(target(m))),
         *(Term(name, f"target_{name}", f"{{{number}}}", equation, only(number, unit),
                tuple(float(s) for s in LATENESS[name].tried(design)), LATENESS[name].error)
@@ -305,6 +313,9 @@ def command_dictionary(design: Design) -> list[Term]:
         equation = "A sin(2 pi command / L + phase)"
         formula = "{size} * np.sin(2 * np.pi * target / {period} + {phase})"
         terms.append(Term("wave", "target", formula, equation, wave, waves, lambda m, p: in_waves(target(m), p)))
+    if all(m.other.size for m in motions):
+        terms.append(Term("coupled", "target_other", "{share} * other", "c other command", (share,), (),
+                          lambda m, _: _column(m.other_command), "other_axis"))  # fmt: skip
     if ticks:
         tick = only("tick", "rad")
         terms.append(Term("ticks", "stepped_target", "{tick}", "command in ticks of b", tick, ticks, _in_ticks))

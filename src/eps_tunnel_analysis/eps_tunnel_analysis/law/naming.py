@@ -24,13 +24,14 @@ def ways(dependence: Depends) -> list[Dependence]:
     return list(ways.values())
 
 
-def as_proposed(dependence: Depends, law: Formula, way: Dependence, share: float) -> Depends:
+def as_proposed(dependence: Depends, law: Formula, way: Dependence, share: float,
+                interval: tuple[float, float]) -> Depends:  # fmt: skip
     """What is named, if the formula acts elsewhere or its first term depends on something else: roll-outs chose it.
 
     A constant that the formula does without is not named if the formula explains more than chance does.
 
     Args:
-        share: of the base's misfit on left-out stretches that the formula explains in roll-outs.
+        share, interval: of the base's misfit on left-out stretches that the formula explains in roll-outs.
     """
     named, over = dependence.first, law.terms[0].term.over
     if named is None or (named.over == over and named.acts == way.acts):
@@ -39,7 +40,7 @@ def as_proposed(dependence: Depends, law: Formula, way: Dependence, share: float
              if d.over == over and d.acts == way.acts and not (d.pair or d.constant)]  # fmt: skip
     same = [d for d in there if d.named]
     if named.constant and all(c.term.over for c in law.terms):
-        same = same or [replace(d, named=True, share=share) for d in there if share > d.chance]
+        same = same or [replace(d, named=True, share=share, interval=interval) for d in there if share > d.chance]
     first = max(same, key=lambda d: d.share, default=way)
     return with_first(dependence, first)
 

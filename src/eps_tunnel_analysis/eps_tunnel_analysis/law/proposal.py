@@ -4,7 +4,8 @@
 Both are refitted in whole roll-outs together with the base values, and judged on stretches of time that were left out.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from eps_tunnel_analysis.law.missing_force import (
 )
 from eps_tunnel_analysis.law.naming import as_proposed, refuted, ways, with_first, with_period
 from eps_tunnel_analysis.law.refit import Visit, floors_on, library_of, visit
-from eps_tunnel_analysis.law.single_terms import single_terms
+from eps_tunnel_analysis.law.single_terms import explained_by, single_terms
 from eps_tunnel_analysis.law.variables import OVER_SPEED, knots_of, sensors, variables
 from eps_tunnel_analysis.outputs import shown_number, shown_value
 from eps_tunnel_analysis.sequence import Command
@@ -307,12 +308,13 @@ def propose(
     bare = Proposal(part.name, part.name, missing, dependence, nothing, base=model, visit=shows, offsets=offsets,
                     trials=trials)  # fmt: skip
     spans = visited(motions)
-    spans |= {"curve_sensor": spans["curve_angle"], "curve_sensor_speed": spans["curve_speed"]}
+    sensed = {"curve_sensor": "curve_angle", "curve_sensor_speed": "curve_speed", "curve_sensor_other": "curve_other"}
+    spans |= {name: spans[over] for name, over in sensed.items() if over in spans}
     run = SearchOptions((), nthread)
     every = dictionaries(design, positions)
     words = {acts: (place, terms) for acts, place, terms in every}
 
-    def attempts(laws: Sequence[Formula], way: Dependence) -> list[_Attempt]:
+    def attempts(laws: Iterable[Formula], way: Dependence) -> list[_Attempt]:
         refitted = (_formula_refitted(law, way, model, plays, part, run) for law in laws)
         return [attempt for attempt in refitted if not runs_away(attempt.model, shows.command, nthread)]
 
@@ -328,6 +330,9 @@ def propose(
         for way, law in single_terms(design, dependence, model, plays, part, every, nthread, seed):
             tried += attempts([law], way)
     best = _best(tried)
+    if best is not None:
+        tried = fewer_terms(tried, best, attempts)
+        best = tried[-1]
     linear = dependence
     if first is None:
         if best is None or len(_near(tried, best)) > 1:  # two poses fit any two numbers
@@ -358,7 +363,8 @@ def propose(
         law = replace(law, terms=tuple(_refined(law.terms, best.refit.values)))
         mark = seen_mark(model, declared(effect_file(law.terms)), best.way.place, plays[0])
         text = effect_file(law.terms, mark)
-        proposed = as_proposed(dependence, law, best.way, 1.0 - best.refit.held_out / before.cost)
+        explained = explained_by(best.search, before, best.own)
+        proposed = as_proposed(dependence, law, best.way, explained.share, explained.interval(seed))
         if proposed.first and proposed.first is not first:
             table, band = _curve(design, positions, spans, proposed.first)
             bare = replace(bare, curve=table, curve_band=band, visit=visit(model, part.name, proposed.first, motions))
@@ -406,6 +412,31 @@ def runs_away(model: Model, command: Command, nthread: int = 0) -> bool:
     """
     time, targets = command.sample(1.0 / model.rig.sample_time)
     return bool(simulate_batch(model, (), np.zeros((1, 0)), time, targets[None], nthread=nthread).failed.any())
+
+
+def fewer_terms(
+    tried: list[_Attempt], best: _Attempt, attempts: Callable[[Iterable[Formula], Dependence], list[_Attempt]]
+) -> list[_Attempt]:
+    """What was tried, and the best formula without each of its terms as long as one of these is as good; the best last.
+
+    Terms were only added so far, and the first of them may have stood for a later one. The one without which most is
+    left comes first: its variable is named.
+    """
+    while len(best.law.terms) > 1:
+        terms = tuple(_refined(best.law.terms, best.refit.values))
+        without = {i: attempts([replace(best.law, terms=terms[:i] + terms[i + 1 :])], best.way)
+                   for i in range(len(terms))}  # fmt: skip
+        tried = [*tried, *(each for some in without.values() for each in some)]
+        simpler = _best(tried)
+        if simpler is None or simpler is best:
+            left = [without[i][0].refit.held_out if without[i] else math.inf for i in range(len(terms))]
+            order = sorted(range(len(terms)), key=lambda i: -left[i])
+            if order[0] != 0:
+                tried = [t for t in tried if t is not best]
+                (best,) = attempts([replace(best.law, terms=tuple(terms[i] for i in order))], best.way) or [best]
+            break
+        best = simpler
+    return [*(t for t in tried if t is not best), best]
 
 
 def _best(tried: Sequence[_Attempt]) -> _Attempt | None:

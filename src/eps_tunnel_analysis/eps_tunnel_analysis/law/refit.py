@@ -17,7 +17,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidate
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.law.depends import Dependence
-from eps_tunnel_analysis.law.variables import OVER_SPEED
+from eps_tunnel_analysis.law.variables import OVER_OTHER, OVER_SPEED
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
 from eps_tunnel_analysis.simulated import Play
@@ -162,7 +162,7 @@ def _shapes(depends: Dependence, low: float, high: float, fast: float) -> list[S
 
 def _along(axis: Axis, own: Axis, motions: Sequence[Motion], curve: str, lasts: float) -> tuple[Shape, ...]:
     """For another axis: at rest, or slowly over its range if the law depends on it."""
-    if not curve.startswith("curve_other"):
+    if curve not in OVER_OTHER:
         return (Hold(lasts),)
     half = max((float(np.abs(m.other).max(initial=0.0)) for m in motions), default=0.0)
     half = min(STRETCH * half, WITHIN * min(abs(limit) for limit in axis.limits))

@@ -13,6 +13,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axis import hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, search_of
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library
+from eps_tunnel_analysis.diagnose.rank import Hypothesis
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -76,9 +77,9 @@ def single_terms(
         enough = best[0].cost - max(SETTINGS.material, SETTINGS.share * best[0].cost)
         more = [refit for refit in _descended(search, best, here, {})[:KEPT] if refit.cost <= enough]
     laws = []
-    without = _left_out(search, base)
+    without = hypothesis(search, base)
     for refit in [*alone, *more]:
-        explained = _explained(without, _left_out(search, refit), len(search.used))
+        explained = explained_by(search, without, hypothesis(search, refit))
         ways = [owner[name][0] for name in refit.effects]
         if explained.share > ways[0].chance:
             share, interval = explained.share, explained.interval(seed)
@@ -116,14 +117,10 @@ def _fitted(chosen: Chosen, name: str, refit: Refit, library: Library) -> Chosen
     return replace(chosen, values={n.name: float(values[prefix + n.name]) for n in chosen.term.numbers})
 
 
-def _left_out(search: Search, refit: Refit) -> Array:
-    """(F,) sum of squares that a refit leaves in each stretch of time that was left out."""
-    return np.asarray(np.bincount(search.folds, hypothesis(search, refit).left_out ** 2), dtype=np.float64)
-
-
-def _explained(without: Array, left: Array, samples: int) -> Explained:
-    """What terms explain where they leave (F,) of (F,) squares in each stretch."""
-    share, fall = 1.0 - left.sum() / without.sum(), (without.sum() - left.sum()) / samples
+def explained_by(search: Search, base: Hypothesis, terms: Hypothesis) -> Explained:
+    """What terms explain in roll-outs, on the stretches of time that were left out."""
+    without, left = (np.bincount(search.folds, h.left_out**2).astype(np.float64) for h in (base, terms))
+    share, fall = 1.0 - left.sum() / without.sum(), (without.sum() - left.sum()) / len(search.used)
     return Explained(float(share), np.column_stack([without, left]), np.empty(0), float(fall))
 
 

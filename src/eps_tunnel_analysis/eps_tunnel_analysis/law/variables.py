@@ -23,9 +23,13 @@ COARSE = 5  # knots of a pair's surface over each of its variables
 DAMPED = 0.05  # damping ratio with which a mass that swings is looked for
 OVER_SPEED = ("curve_speed", "curve_sensor_speed")
 """Free curves whose variable is a speed."""
-OF_SENSORS = ("curve_sensor", "curve_sensor_speed")
+OF_SENSORS = ("curve_sensor", "curve_sensor_speed", "curve_sensor_other")
 """Free curves of a sensor's error."""
+OVER_OTHER = ("curve_other", "curve_other_friction", "curve_sensor_other")
+"""Free curves whose variable is the other axis's angle, or its command for an error of the command."""
 ERROR_OF_COMMAND = "command, as the command's error"
+OTHER = "the other axis's angle"
+OTHER_IN_COMMAND = "the other axis's command, as the command's error"
 TURNS = (0.2, 0.8)  # of a play, within which the sign of a constant turns by chance
 
 
@@ -126,6 +130,11 @@ def of_speed(speed: Array, spans: Mapping[str, Mapping[str, float]]) -> Array:
     return speed_share(speed[None], {"most": most})[0]
 
 
+def of_other(angle: Array, spans: Mapping[str, Mapping[str, float]]) -> Array:
+    """Share (K,) of the range of a curve over the other axis's angle (K,)."""
+    return np.asarray(share_about(angle, spans["curve_other"]["centre"], spans["curve_other"]["half"]))
+
+
 def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[str, Array, Array]]:
     """Free curve -> the variable's name, its share (K,) of the curve's range, and the sign (K,) that it acts with."""
     against, ones = moving(motion), np.ones(len(motion.time))
@@ -147,10 +156,10 @@ def shares(motion: Motion, spans: Mapping[str, Mapping[str, float]]) -> dict[str
         "curve_time_friction": ("time, as friction", motion.time / end, against),
     }  # fmt: skip
     if "curve_other" in spans:
-        other = of_angle(motion.other, spans["curve_other"])
+        other = of_other(motion.other, spans)
         by_curve |= {
-            "curve_other": ("the other axis's angle", other, ones),
-            "curve_other_friction": ("the other axis's angle, as friction", other, against),
+            "curve_other": (OTHER, other, ones),
+            "curve_other_friction": (f"{OTHER}, as friction", other, against),
         }
     return by_curve
 
@@ -180,9 +189,13 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
         seen = design.at(number)
         over_angle = [hats(share_about(a, span["centre"], span["half"])) for a in seen.angles(number)]
         over_speed = [hats(of_speed(v, spans)) for v in seen.speeds(number)]
+        errors = {"angle": over_angle, "speed": over_speed}
+        if "curve_other" in spans:
+            others = seen.seen(number, [p.motion.other for p in seen.plays])
+            errors[OTHER] = [hats(of_other(own, spans)) for own in others]
         every += [
-            Variable(f"{what}, as a sensor's error", curve, missing.signals[number], errors, number)
-            for what, curve, errors in zip(("angle", "speed"), OF_SENSORS, (over_angle, over_speed), strict=True)
+            Variable(f"{what}, as a sensor's error", curve, missing.signals[number], own, number)
+            for (what, own), curve in zip(errors.items(), OF_SENSORS, strict=False)
         ]
     if has_command(design):
         rows = [
@@ -190,6 +203,10 @@ def variables(design: Design, positions: Sequence[str]) -> list[Variable]:
             for p in design.at(COMMAND).plays
         ]
         every.append(Variable(ERROR_OF_COMMAND, "curve_angle", missing.axis, rows, COMMAND))
+        if "curve_other" in spans:
+            plays = design.at(COMMAND).plays
+            rows = [p.about_nodes(commanded(p.motion, hats(of_other(p.motion.other_command, spans)))) for p in plays]
+            every.append(Variable(OTHER_IN_COMMAND, "curve_other", missing.axis, rows, COMMAND))
     return every
 
 

@@ -2,29 +2,17 @@
 """Cross-axis coupling."""
 
 import mujoco
-import numpy as np
 
 from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.filters import Added
 from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
 
-class Mixed:
-    """Adds a share of the other channels to a target; where another drive is off it adds nothing."""
-
-    def __init__(self, share: Array, others: tuple[int, ...]) -> None:
-        self.share, self.others = share[:, None], others
-
-    def __call__(self, own: Array, every: Array) -> Array:
-        out = own
-        for other in self.others:
-            out = out + self.share * np.nan_to_num(every[:, :, other])
-        return out
-
-
-def command(values: Values, site: Site, step: float, start: Array) -> Mixed | None:
-    return None if site.the_axis.belt else Mixed(values["share"], site.others)
+def command(values: Values, site: Site, step: float, start: Array) -> Added | None:
+    share = values["share"][:, None]
+    return None if site.the_axis.belt else Added(lambda target: share * target, site.others)
 
 
 def spec(spec: mujoco.MjSpec, site: Site) -> None:

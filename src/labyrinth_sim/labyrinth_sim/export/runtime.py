@@ -247,7 +247,9 @@ def _over(scale):
 def _site(model, rig, channel):
     axis = rig.axes[channel]
     joint, load = model.joint(axis.joint), model.joint(axis.load)
-    group = channel + 1
+    group, others = channel + 1, tuple(i for i in range(len(rig.axes)) if i != channel)
+    signals = [m.signal for each in rig.axes for m in each.measured]
+    seen = [m.signal for i in others[:1] for m in rig.axes[i].measured if m.quantity == "position"]
     return SimpleNamespace(
         rig=rig,
         axis=axis,
@@ -255,7 +257,8 @@ def _site(model, rig, channel):
         signal=None,
         group=group,
         channel=channel,
-        others=tuple(i for i in range(len(rig.axes)) if i != channel),
+        others=others,
+        other_seen=tuple(signals.index(s) for s in seen[:1]),
         actuator=model.actuator(axis.actuator).id,
         actuators=tuple(i for i in range(model.nu) if model.actuator_group[i] == group),
         joint=joint.id,
