@@ -24,6 +24,14 @@ def test_every_candidate_has_starts_within_its_bounds() -> None:
             assert (rows[:, column] >= p.low).all() and (rows[:, column] <= p.high).all()
 
 
+def test_waves_start_at_every_phase_of_every_period() -> None:
+    """And where targets are uneven; a descent finds out whether a sensor is."""
+    found = library(load_model("labyrinth_manual"), [], only=["positioning_error"]).find("positioning_error.x")
+    rows = starts(found)
+    sizes, periods, phases, seen = (len(np.unique(column)) for column in rows.T)
+    assert len(rows) == sizes * periods * phases and min(periods, phases) >= 4 and seen == 1
+
+
 def test_ticks_start_at_whole_multiples_of_a_known_one() -> None:
     model = load_model("labyrinth_mx64")
     register = model.values()["drive.x.goal_tick"]

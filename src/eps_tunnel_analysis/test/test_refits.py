@@ -285,6 +285,17 @@ def test_a_set_that_fits_worse_than_one_it_contains_has_not_converged(
     assert all(r.converged for r in near)
 
 
+def test_an_effect_is_contained_only_without_what_the_other_one_cannot_do(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, "judged", lambda jobs, rounds: [])
+    narrow, wide = FRICTIONS[0] + ".x", FRICTIONS[1] + ".x"
+    for bearings, converged in ((0.0, False), (0.2, True)):
+        smaller = refit(search, (narrow,), 2.0, share=0.1, bearings=bearings)
+        _, found = nested_refits(search, refit(search, (), 9.0), [smaller, refit(search, (wide,), 4.0)])
+        assert {r.effects: r.converged for r in found}[(wide,)] is converged
+
+
 def test_it_is_started_again_from_the_one_that_it_contains(search: Search) -> None:
     base = search.judged([((), search.start)], 2)[0]
     stuck = refit(search, ("load_friction.x",), 100.0 * base.cost, share=0.5)

@@ -43,7 +43,7 @@ class Placed:
         return np.any([values[self.prefix + p.name] != p.off for p in switches], axis=0)
 
     def steps(self, values: Values) -> NDArray[np.bool_]:
-        """(nsim,) whether its step has something to do; values as for `acts`."""
+        """(nsim,) whether its step or error has something to do; values as for `acts`."""
         return self.acts(values) & self.effect.steps_at(local_values(values, self.prefix))
 
 

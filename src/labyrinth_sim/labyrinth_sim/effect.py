@@ -209,7 +209,7 @@ class Effect:
         fields: changes per-simulation fields of the compiled model.
         step: called before every MuJoCo step: a compiled law of one simulation, or a plain function of the whole batch,
             which takes many times as long.
-        steps_with: the parameter at whose 0 `step` has nothing to do, "" if it always has.
+        steps_with: the parameter at whose 0 `step` or `error` has nothing to do, "" if it always has.
         measure: makes the filter of a signal.
         undo: the true value (nsim,) behind a measured one, where a roll-out must not start from what is seen.
     """
@@ -251,9 +251,9 @@ class Effect:
         return not (self.command or self.error or self.spec or self.fields or self.step)
 
     def steps_at(self, values: Mapping[str, Any]) -> NDArray[np.bool_]:
-        """Whether `step` has something to do at these values of its parameters, numbers or (nsim,) each."""
+        """Whether `step` or `error` has something to do at these values of its parameters, numbers or (nsim,) each."""
         needed = values[self.steps_with] if self.steps_with else 1.0
-        return np.asarray(np.not_equal(needed, 0.0) & (self.step is not None))
+        return np.asarray(np.not_equal(needed, 0.0) & (self.step is not None or self.error is not None))
 
     @property
     def main(self) -> Parameter:

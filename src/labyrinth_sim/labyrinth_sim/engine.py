@@ -58,7 +58,8 @@ class Engine:
         self._set_fields(values)
         self.nthread = nthread
         acting = plan.acting(values)
-        errors, steps = [p for p in acting if p.effect.error], [p for p in acting if p.steps(values).any()]
+        busy = [p for p in acting if p.steps(values).any()]
+        errors, steps = [p for p in busy if p.effect.error], [p for p in busy if p.effect.step]
         self._hooks = [(p, local_values(values, p.prefix)) for p in steps if not isinstance(p.effect.step, Law)]
         self._errors = bool(errors)
         none = np.zeros(nsim)

@@ -36,7 +36,7 @@ class Laws:
     def __init__(
         self, plan: Plan, errors: Sequence[Placed], steps: Sequence[Placed], values: Values, nsim: int
     ) -> None:
-        placed = [(p, p.effect.error, p.acts(values)) for p in errors]
+        placed = [(p, p.effect.error, p.steps(values)) for p in errors]
         self._first = len(placed)
         placed += [(p, p.effect.step, p.steps(values)) for p in steps if isinstance(p.effect.step, Law)]
         self.codes = np.array([law.address for _, law, _ in placed if isinstance(law, Law)], dtype=np.int64)

@@ -202,7 +202,7 @@ def simulate_batch(
 
 def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int, chunk: int) -> Iterator[NDArray[np.int64]]:
     """Simulations to step together, by number: those that MuJoCo can do alone, and those with work at every step."""
-    stepping = [p.acts(numbers) if p.effect.error else p.steps(numbers) for p in plan.effects]
+    stepping = [p.steps(numbers) for p in plan.effects]
     busy = np.any(stepping, axis=0) if stepping else np.zeros(nsim, dtype=bool)
     for group in (np.flatnonzero(~busy), np.flatnonzero(busy)):
         for low in range(0, len(group), chunk):

@@ -2,8 +2,8 @@
 """Every effect and every drive against the equation that its own file states, by numbers worked out here.
 
 To add one: a test under `@checks(name, equation)`, the equation as in the file; of a drive in
-`test_drive_equations`, of a free curve in `test_curve_equations`. Nothing here compares a roll-out with
-another roll-out.
+`test_drive_equations`, of a free curve in `test_curve_equations`, of the ball in `test_ball_equations`. Nothing
+here compares a roll-out with another roll-out.
 """
 
 import importlib
@@ -13,7 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import test_curve_equations  # noqa: F401  its import registers its checks
+import test_ball_equations  # noqa: F401  its import registers its checks
+import test_curve_equations  # noqa: F401
 import test_drive_equations  # noqa: F401
 from small_rigs import (
     ARM,
@@ -21,15 +22,12 @@ from small_rigs import (
     BELT_K,
     BELT_MOTOR,
     BELT_RATIO,
-    CENTRE,
     CHECKED,
     DRIVES,
     INERTIA,
     MASS,
-    RADIUS,
     SLEDGE,
     SPRING,
-    WALL,
     G,
     checks,
     integrated,
@@ -41,7 +39,6 @@ import labyrinth_sim.drives
 import labyrinth_sim.effects
 from labyrinth_sim.model import Model
 
-ROLLING = 5 / 7  # of gravity's pull that a rolling solid ball keeps
 STIFF = DRIVES["torque_pd"]["stiffness"]
 MOST = DRIVES["torque_pd"]["torque"]
 ModelOf = Callable[..., Model]
@@ -88,12 +85,19 @@ def test_gain_error(model_of: ModelOf, share: float) -> None:
     assert seen(model, target) == pytest.approx((1 + share) * target, abs=1e-9)
 
 
-@checks("positioning_error", "u' = u + A sin(2 pi u / L + phase)")
-def test_positioning_error(model_of: ModelOf) -> None:
-    values = {"amplitude": 0.03, "period": 0.2, "phase": 0.5}
+@checks("positioning_error", "u' = u + (1 - s) A sin(2 pi u / L + phase); e' = e + s A sin(2 pi angle / L + phase)")
+@pytest.mark.parametrize("share", [0.0, 1.0, 0.3])
+def test_positioning_error(model_of: ModelOf, share: float) -> None:
+    """Of a joint that stands still somewhere: what the drive makes of its targets."""
+    values = {"amplitude": 0.03, "period": 0.2, "phase": 0.5, "seen": share}
     model = model_of("pair").with_effect("positioning_error", "a", values)
-    target = np.linspace(-0.25, 0.25, 11)
-    assert seen(model, target) == pytest.approx(target + 0.03 * np.sin(2 * np.pi * target / 0.2 + 0.5), abs=1e-9)
+    target, angle = np.linspace(-0.1, 0.1, 11), 0.02
+
+    def wave(at: np.ndarray | float) -> np.ndarray:
+        return np.asarray(0.03 * np.sin(2 * np.pi * at / 0.2 + 0.5))
+
+    errors = target - angle + (1.0 - share) * wave(target) + share * wave(angle)
+    assert torques(model, target, a=angle) == pytest.approx(DRIVES["torque_pd"]["stiffness"] * errors, abs=1e-9)
 
 
 @checks("rate_limit", "|du'/dt| <= r")
@@ -245,7 +249,7 @@ def test_direction_friction(model_of: ModelOf, torque: float, sign: float) -> No
     assert play(model, time, a_speed=sign)["a_speed"] == pytest.approx(sign * (1.0 - loss * time), abs=2e-3)
 
 
-@checks("load_friction", "F = mu |motor torque - load torque|; torque = -F sign(speed)")
+@checks("load_friction", "F = mu |motor torque - load torque| + nu |load torque|; torque = -F sign(speed)")
 @checks(
     "directional_load_friction",
     "F = mu |motor torque - load torque|, mu = mu_1 where the motor is the stronger, else mu_2; "
@@ -255,7 +259,11 @@ def test_direction_friction(model_of: ModelOf, torque: float, sign: float) -> No
 @pytest.mark.parametrize("motor", [0.5, 0.1, -0.5])  # N m, beside 0.196 N m of the arm's weight
 @pytest.mark.parametrize(
     ("effect", "values"),
-    [("load_friction", {"share": 0.3}), ("directional_load_friction", {"driving": 0.1, "driven": 0.4})],
+    [
+        ("load_friction", {"share": 0.3}),
+        ("load_friction", {"share": 0.1, "bearings": 0.5}),
+        ("directional_load_friction", {"driving": 0.1, "driven": 0.4}),
+    ],
 )
 def test_friction_under_load(
     model_of: ModelOf, effect: str, values: dict[str, float], motor: float, speed: float
@@ -268,7 +276,8 @@ def test_friction_under_load(
         angle, w = state
         load = MASS * G * ARM * math.cos(angle)
         mu = values.get("share", values.get("driving" if abs(motor) >= abs(load) else "driven", 0.0))
-        return w, (motor + load - mu * abs(motor - load) * np.sign(w)) / inertia
+        friction = mu * abs(motor - load) + values.get("bearings", 0.0) * abs(load)
+        return w, (motor + load - friction * np.sign(w)) / inertia
 
     time = np.linspace(0.0, 0.02, 11)
     expected = integrated(slope, [0.0, speed], time)[:, 1]
@@ -511,83 +520,6 @@ def test_sensor_quantisation(model_of: ModelOf, noise: float, cut: float) -> Non
 
     expected = [mean(value - cut * tick) for value in angle]
     assert play(model, TIME, a=angle[0], a_speed=0.5)["a"] == pytest.approx(expected, abs=1e-3 * tick)
-
-
-# The ball, on a table that stands still where it is put: gravity and what the floor does to it.
-
-
-def rolled(model: Model, a: float = 0.0, b: float = 0.0, x: float = 0.25, y: float = 0.2) -> dict[str, np.ndarray]:
-    """Ball from rest for 0.3 s on a table turned by a and b."""
-    return play(model, TIME, a=a, b=b, ball_x=x, ball_y=y)
-
-
-def test_a_ball_on_the_table_rolls_as_a_ball_does(model_of: ModelOf) -> None:
-    found = rolled(model_of("table"), b=0.03)
-    assert found["ball_x"] == pytest.approx(0.25 + ROLLING * G * math.sin(0.03) * TIME**2 / 2, abs=1e-4)
-    assert rolled(model_of("table"), a=0.03)["ball_y"][-1] == pytest.approx(
-        0.2 - ROLLING * G * math.sin(0.03) * 0.3**2 / 2, abs=1e-4
-    )
-
-
-@checks("board_not_level", "gravity' = gravity turned by -angle about the axis")
-@pytest.mark.parametrize("angle", [0.03, -0.02])
-def test_board_not_level(model_of: ModelOf, angle: float) -> None:
-    """The level ball feels what it would on a table turned by the angle."""
-    way = ROLLING * G * math.sin(angle) * TIME**2 / 2
-    x = rolled(model_of("table").with_effect("board_not_level", "b", {"angle": angle}))
-    assert (x["ball_x"], x["ball_y"]) == (pytest.approx(0.25 + way, abs=1e-4), pytest.approx(0.2, abs=1e-4))
-    y = rolled(model_of("table").with_effect("board_not_level", "a", {"angle": angle}))
-    assert (y["ball_x"], y["ball_y"]) == (pytest.approx(0.25, abs=1e-4), pytest.approx(0.2 - way, abs=1e-4))
-
-
-@checks("rolling_friction", "torque <= c r times the force on the contact, against the spin; the ball slows by c g 5/7")
-@pytest.mark.parametrize("tilt", [0.03, -0.03])
-def test_rolling_friction(model_of: ModelOf, tilt: float) -> None:
-    rolls = model_of("table").with_effect("rolling_friction", "ball", {"coefficient": 0.02})
-    time = np.linspace(0.0, 0.5, 101)
-    x = play(rolls, time, b=math.copysign(0.05, tilt), ball_x=CENTRE[0], ball_y=CENTRE[1])["ball_x"]
-    late = time > 0.2  # MuJoCo's grows to its full size with the speed
-    found = 2 * np.polyfit(time[late], x[late], 2)[0]
-    assert found * tilt > 0
-    assert ROLLING * G * math.sin(0.05) - abs(found) == pytest.approx(ROLLING * G * 0.02, rel=0.02)
-    rests = model_of("table").with_effect("rolling_friction", "ball", {"coefficient": 0.05})
-    assert rolled(rests, b=tilt)["ball_x"] == pytest.approx(0.25, abs=4e-4)  # it would roll 9.5 mm
-
-
-@checks(
-    "restitution", "speed after = -max(e, 0.135) speed before, across the contact, before the ball's spin brakes it"
-)
-@pytest.mark.parametrize("e", [0.0, 0.2, 0.3, 0.5, 0.8])
-def test_restitution(model_of: ModelOf, e: float) -> None:
-    """A ball that slides without friction, so that it has no spin, meets the wall."""
-    model = model_of("slippery").with_effect("restitution", "ball", {"coefficient": e})
-    time = np.arange(401) * 0.001
-    x = play(model, time, timestep=1e-4, b=0.05, ball_x=WALL - RADIUS - 0.01, ball_y=0.2)["ball_x"]
-    speed = np.diff(x) / 0.001
-    arrives = int(speed.argmax())
-    leaves = arrives + int(speed[arrives : arrives + 40].argmin())
-    assert speed[arrives] == pytest.approx(math.sqrt(2 * G * math.sin(0.05) * 0.01), rel=0.02)
-    assert speed[leaves] == pytest.approx(-max(e, 0.135) * speed[arrives], rel=0.03)
-
-
-@checks("camera_latency", "ball'(t) = ball(t - T)")
-@pytest.mark.parametrize("delay", [0.05, 0.033])
-def test_camera_latency(model_of: ModelOf, delay: float) -> None:
-    model = model_of("table").with_effect("camera_latency", "ball", {"delay": delay})
-    late = np.maximum(TIME - delay, 0.0)
-    expected = 0.25 + ROLLING * G * math.sin(0.05) * late**2 / 2
-    assert rolled(model, b=0.05)["ball_x"] == pytest.approx(expected, abs=1e-4)
-
-
-@checks("camera_scale", "ball' = c + s (ball - c), c being the board's centre")
-@pytest.mark.parametrize("scale", [1.1, 0.9])
-def test_camera_scale(model_of: ModelOf, scale: float) -> None:
-    model = model_of("table").with_effect("camera_scale", "ball", {"scale": scale})
-    way = ROLLING * G * math.sin(0.03) * TIME**2 / 2
-    assert rolled(model, b=0.03)["ball_x"] == pytest.approx(0.25 + scale * way, abs=1e-4)  # starts where it is seen
-    rests = play(model, TIME)  # at -0.1, 0.05 from the centre
-    expected = CENTRE[0] - 0.1 * scale, CENTRE[1] + 0.05 * scale
-    assert (rests["ball_x"][-1], rests["ball_y"][-1]) == pytest.approx(expected, abs=1e-4)
 
 
 @pytest.mark.parametrize(("package", "symbol"), [(labyrinth_sim.effects, "EFFECT"), (labyrinth_sim.drives, "DRIVE")])

@@ -101,10 +101,11 @@ def test_each_effect_is_exported_as_it_acts(name: str, tmp_path: Path) -> None:
 def test_a_step_with_nothing_to_do_is_left_out(name: str, tmp_path: Path) -> None:
     model = load_model("two_link_arm")
     effect = model.registry.effects[name]
-    slow = next(p for p in effect.parameters if p.name == effect.steps_with)
-    assert "gradual_damping" not in export(model.with_effect(name, "elbow", {slow.name: 0.0})).module
-    acting = model.with_effect(name, "elbow", {slow.name: 0.5 * slow.high})
-    assert "gradual_damping" in export(acting).module
+    needed = next(p for p in effect.parameters if p.name == effect.steps_with)
+    says = "gradual_damping" if effect.step else "s.error[s.channel] +="
+    assert says not in export(model.with_effect(name, "elbow", {needed.name: 0.0})).module
+    acting = model.with_effect(name, "elbow", {needed.name: 0.5 * needed.high})
+    assert says in export(acting).module
     assert apart(acting, tmp_path, commands(acting, 0.3)) < 1e-6
 
 

@@ -245,7 +245,9 @@ def _contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
         own = search.library.find(name)
         wider = [c for c in map(search.library.find, added)
                  if c.place == own.place and own.effect.name in [name for _, name, _ in c.effect.contains]]  # fmt: skip
-        if not wider:
+        kept = {its for c in wider[:1] for _, name, its in c.effect.contains if name == own.effect.name}
+        alone = [p for p in own.declared if p.off is not None and p.name not in kept]
+        if not wider or any(smaller.values[search.columns(own)[_place(own, p.name)]] != p.off for p in alone):
             return None
         general = wider[0]
         for parameter, contained, its in general.effect.contains:

@@ -200,8 +200,11 @@ def starts(candidate: Candidate) -> Array:
     switching = [p for p in declared if p.off is not None]
     strengths = [[*row] for ladder in _ladders(switching) for row in ladder]
     shaping = [p for p in declared if p.off is None]
-    crossed = len(shaping) <= MOST_CROSSED
-    shapes = itertools.product(*map(_spread, shaping)) if crossed else _one_by_one(shaping)
+    shapes: Iterable[Sequence[float]] = _one_by_one(shaping)
+    if len(shaping) <= MOST_CROSSED:
+        shapes = itertools.product(*map(_spread, shaping))
+    elif len([p for p in shaping if not p.settled]) <= MOST_CROSSED:  # a descent moves the others
+        shapes = itertools.product(*([p.typical] if p.settled else _spread(p) for p in shaping))
     rows = []
     for strength, shape in itertools.product(strengths, shapes):
         values = iter(strength), iter(shape)

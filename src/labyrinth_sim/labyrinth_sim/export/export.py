@@ -214,7 +214,8 @@ def _module(model: Model, acting: list[Placed], torque: Array, bundle: Bundle) -
 
 def _hooks(effect: Effect, values: Mapping[str, float]) -> list[str]:
     """The hooks that an effect needs at these values of its parameters."""
-    return [hook for hook in HOOKS if getattr(effect, hook) and (hook != "step" or effect.steps_at(values))]
+    idle = () if effect.steps_at(values) else ("step", "error")
+    return [hook for hook in HOOKS if getattr(effect, hook) and hook not in idle]
 
 
 def _plain(placed: Placed, hook: str) -> Any:
