@@ -32,6 +32,12 @@ def test_waves_start_at_every_phase_of_every_period() -> None:
     assert len(rows) == sizes * periods * phases and min(periods, phases) >= 4 and seen == 1
 
 
+def test_each_of_several_limits_is_tried_by_itself() -> None:
+    found = library(load_model("labyrinth_manual"), [], only=["motion_profile"]).find("motion_profile.x")
+    acceleration, speed = ((starts(found)[:, k] < p.high) for k, p in enumerate(found.declared))
+    assert (acceleration & ~speed).any() and (speed & ~acceleration).any() and (acceleration & speed).any()
+
+
 def test_ticks_start_at_whole_multiples_of_a_known_one() -> None:
     model = load_model("labyrinth_mx64")
     register = model.values()["drive.x.goal_tick"]

@@ -218,6 +218,22 @@ def test_of_two_forms_of_an_effect_that_explain_alike_the_number_of_values_decid
     assert found["a.x"] / found["b.x"] == pytest.approx(np.sqrt(worth), rel=0.15)
 
 
+def test_a_general_form_that_leaves_noise_is_named_instead_of_a_simple_one_that_leaves_more() -> None:
+    """However much there was to explain: what a further value explains to the noise is no other effect's form."""
+    unit = smooth_noise(SAMPLES, 0)
+    folds, runs = np.arange(SAMPLES) * FOLDS // SAMPLES, np.zeros(SAMPLES, dtype=np.int64)
+
+    def general(left: float, left_by_simple: float) -> float:
+        costs = {(): 900.0, ("a.x",): left_by_simple, ("b.x",): left}
+        base, narrow, wide = (hypothesis(effects, np.sqrt(cost) * unit) for effects, cost in costs.items())
+        wide = replace(wide, contains=(frozenset(["a.x"]),), refit=replace(wide.refit, free=narrow.refit.free + 1))
+        return rank(base, [narrow, wide], folds, runs, 10).marginals["b.x"]
+
+    assert general(1.0, 3.5) > 0.9
+    assert general(1.0, 1.3) < 0.2, "a healthy rig leaves as much"
+    assert general(4.0, 6.5) < 0.2, "neither form is right"
+
+
 def test_of_two_that_explain_alike_the_one_whose_values_are_near_what_is_stated_is_likelier() -> None:
     unit = smooth_noise(SAMPLES, 0)
     base, near, far = (hypothesis(e, np.sqrt(c) * unit) for e, c in (((), 50.0), (("a.x",), 1.0), (("b.x",), 1.0)))

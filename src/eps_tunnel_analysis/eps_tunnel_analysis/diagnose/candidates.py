@@ -246,9 +246,16 @@ def is_tick(candidate: Candidate) -> bool:
 
 
 def _ladders(switching: Sequence[Parameter]) -> Iterator[Array]:
-    """Values (s, k) from weak to strong: of either sign about the off values; for a limit, over all of its decades."""
+    """Values (s, k) from weak to strong: of either sign about the off values; for limits, over all of their decades,
+    each by itself and together.
+    """
     if all(p.off == p.high and p.low > 0 for p in switching):
-        yield np.column_stack([np.geomspace(p.low, p.high, LIMITS + 2)[1:-1] for p in switching])
+        together = np.column_stack([np.geomspace(p.low, p.high, LIMITS + 2)[1:-1] for p in switching])
+        yield together
+        for k in range(len(switching) if len(switching) > 1 else 0):
+            alone = np.tile([p.high for p in switching], (LIMITS, 1))
+            alone[:, k] = together[:, k]
+            yield alone
         return
     for sign in (1.0, -1.0):
         rows = []

@@ -7,7 +7,7 @@ Analysis 13, 2018, section 3.4, "pseudo-BMA+"). So a probability says how far th
 depends neither on how bags are cut nor on the density of the samples.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -329,6 +329,7 @@ def _probabilities(
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
     scores = _no_better_than_simpler(hypotheses, scores, remaining, beyond_noise, kept)
+    scores = _no_better_than_complete(hypotheses, scores, costs[:, 1:], remaining, worth, unit)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
@@ -406,14 +407,37 @@ def _no_better_than_simpler(
 
     Then the number of their values decides between the two forms.
     """
-    sets = [frozenset(h.refit.effects) for h in hypotheses]
     capped = scores.copy()
-    for i, h in enumerate(hypotheses):
-        for j in (j for j, other in enumerate(sets) if len(other) == len(sets[i]) and other in h.contains):
-            more = _materially(costs[:, j] - costs[:, i], misfit, kept[j])
-            alike = np.minimum(scores[:, i], scores[:, j])
-            capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
+    for i, j in _forms(hypotheses):
+        more = _materially(costs[:, j] - costs[:, i], misfit, kept[j])
+        alike = np.minimum(scores[:, i], scores[:, j])
+        capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
     return capped
+
+
+def _no_better_than_complete(
+    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, worst: Array, worth: float, unit: float
+) -> Array:
+    """Scores (d, h) with those of simple forms lowered as far as the noise says, where a more general form of the same
+    effects leaves no more than a healthy rig does, and the simple one more.
+
+    What the general form explains to the noise is not an error of another effect's form.
+    """
+    capped = scores.copy()
+    for i, j in _forms(hypotheses):
+        general, simple = (_soft(np.log(np.maximum(worst[:, k] * unit, 1e-12) / SETTINGS.healthy)) for k in (i, j))
+        matters = _soft(np.log(np.maximum(worst[:, j] - worst[:, i], 1e-12) * unit / SETTINGS.material))
+        surely = (1.0 - general) * simple * matters
+        worse = 0.5 * worth * np.maximum(_surprise(costs[:, j]) - _surprise(costs[:, i]), 0.0)
+        capped[:, j] = np.minimum(capped[:, j], surely * (scores[:, i] - worse) + (1.0 - surely) * capped[:, j])
+    return capped
+
+
+def _forms(hypotheses: Sequence[Hypothesis]) -> Iterator[tuple[int, int]]:
+    """Numbers of a set of effects and of one of as many that it can imitate: a general form and a simple one."""
+    sets = [frozenset(h.refit.effects) for h in hypotheses]
+    for i, h in enumerate(hypotheses):
+        yield from ((i, j) for j, other in enumerate(sets) if len(other) == len(sets[i]) and other in h.contains)
 
 
 def _materially(gain: Array, misfit: Array, kept: float, matters: float = SETTINGS.material) -> Array:
