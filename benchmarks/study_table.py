@@ -1,23 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes what a run of benchmarks/diagnosis.py measured into docs/diagnosis.md, between its two marks.
+"""Writes what the runs of benchmarks/diagnosis.py measured into docs/diagnosis.md, between its two marks.
 
-python benchmarks/study_table.py out.json
+    python benchmarks/study_table.py
 
-With --later NAME a shorter table of a run that followed, between two marks with that name.
+A run is a file in benchmarks/records with an entry in RUNS. To add one: copy the JSON file of the benchmark there.
 """
 
-import argparse
 import json
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from counting import Figure, Record, figures, is_right, is_undecided, reliability
+from counting import VISIBLE, Figure, Record, figures, is_right, reliability
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "diagnosis.md"
 BEGIN, END = "<!-- study: written by benchmarks/study_table.py -->", "<!-- end of the study -->"
-LATER = "<!-- {0} cases: written by benchmarks/study_table.py --later {0} -->", "<!-- end of the {0} cases -->"
+RUNS = {  # file in benchmarks/records: what was new
+    "diagnosis": "",
+    "diagnosis_later": "free curves as rivals of sums of effects",
+    "diagnosis_latest": "ticks and further effects are tried beside a little of each of the best",
+    "diagnosis_newest": "half of the noise must be explained where no trial is repeated",
+    "diagnosis_fresh": "a share for what imitates an effect",
+    "diagnosis_visible": "from here on only what shows is judged",
+    "diagnosis_next": "descents without the shortest steps; no drift by chance",
+    "diagnosis_rivals": "a rival that fits as well calls for a further effect",
+    "diagnosis_again": "sets start again after the steps were refined",
+}
+SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
+COLUMNS = {
+    "single": "visible_right", "pair": "pair_both", "unknown": "unknown_found", "false alarms": "false_alarm",
+    "over 95 %, wrong": "stated_above_95_wrong",
+}  # fmt: skip
 KEYS = {  # key: what it means, and the bar
     "visible_right": ("single effects that show at over 3 times the floor: named right", "≥ 0.90"),
     "visible_undecided": ("the same: undecided, with the truth in the stated set", "≤ 0.08"),
@@ -40,55 +55,73 @@ KEYS = {  # key: what it means, and the bar
     "failed": ("ended with an error", "0"),
     "median_seconds": ("one diagnosis, s, median", ""),
 }
-BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, float("inf")))  # of visibility, times the floor
+OF_PROBABILITIES = ("calibration_error", "stated_above_95_wrong", "log_score")
+BANDS = ((3.0, 10.0), (10.0, float("inf")))  # of visibility, times the floor
 
 
-def page(content: dict[str, Any], later: bool = False) -> str:
+def page(runs: dict[str, dict[str, Any]]) -> str:
     """The part of the page, in Markdown."""
-    records: list[Record] = content["cases"]
-    kinds = Counter(r["kind"] for r in records)
+    names = list(runs)
+    every = [r for content in runs.values() for r in content["cases"]]
+    shared = [r for name in names[names.index(SHARED) :] for r in runs[name]["cases"]]
+    kinds = Counter(r["kind"] for r in every)
     counts = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in sorted(kinds.items()))
-    study = "" if content["study"] == "drawn" else f" --study {content['study']}"
-    study += " --visible" if content.get("visible") else ""
-    asked = max([records[-1]["seed"], *content.get("passed_over", [])]) - content["seed"] + 1
     lines = [
-        f"{len(records)} cases of {content['date']}, seeds {_seeds(content)}: {counts}. In",
-        "brackets: how many cases speak to a figure. Intervals are of 95 %.",
+        "Each run with the code of its day, on seeds that were drawn for it: how many of how many.",
         "",
-        f"    python benchmarks/diagnosis.py --cases {asked} --seed {content['seed']}{study} "
-        f"--workers {content['workers']} --threads {content['threads']} --json out.json",
+        f"| seeds | cases | {' | '.join(COLUMNS)} | new |",
+        "|---|---|" + "---|" * len(COLUMNS) + "---|",
+        *(_run(content, RUNS[name]) for name, content in runs.items()),
+        "",
+        f"All {len(every)} cases together: {counts}.",
+        f"In brackets: how many cases speak to a figure. Intervals are of 95 %. What concerns probabilities is of the "
+        f"{len(shared)} cases",
+        "since effects have a share for what imitates them.",
         "",
         "| key | means | measured | interval | bar |",
         "|---|---|---|---|---|",
+        *_keys(figures(every), figures(shared)),
+        "",
+        *_by_effect(every),
+        "",
+        *_reliability(shared),
+        "",
+        *_misses(every),
     ]
-    measured = figures(records)
-    told = [key for key in KEYS if measured[key].n or not later]
-    lines += [f"| `{key}` | {KEYS[key][0]} | {_cells(measured[key])} | {KEYS[key][1]} |" for key in told]
-    if not later:
-        lines += ["", *_by_effect(records), "", *_reliability(records)]
-    lines += ["", *_misses(records)]
     return "\n".join(lines) + "\n"
 
 
+def _run(content: dict[str, Any], new: str) -> str:
+    """One run as a row."""
+    measured = figures(content["cases"])
+    cells = (_count(measured[key]) for key in COLUMNS.values())
+    return f"| {_seeds(content)} | {len(content['cases'])} | {' | '.join(cells)} | {new} |"
+
+
+def _count(figure: Figure) -> str:
+    return f"{round((figure.value or 0.0) * figure.n)} of {figure.n}" if figure.n else ""
+
+
 def _seeds(content: dict[str, Any]) -> str:
-    """From the first to the last, those between that were not run, and how many do not show and were only drawn."""
-    drawn = content.get("passed_over", [])
-    run = sorted([*drawn, *(r["seed"] for r in content["cases"])])
+    """From the first to the last, and those between that were not run; what does not show was drawn as well."""
+    run = sorted([*content.get("passed_over", []), *(r["seed"] for r in content["cases"])])
     missing = sorted(set(range(run[0], run[-1])) - set(run))
     left_out = f" without {', '.join(map(str, missing))}" if missing else ""
-    return f"{run[0]} to {run[-1]}{left_out}" + (f", {len(drawn)} more that do not show" if drawn else "")
+    return f"{run[0]} to {run[-1]}{left_out}"
 
 
-def _cells(figure: Figure) -> str:
-    if figure.value is None or figure.interval is None:
-        return f"– ({figure.n}) | –"
-    return f"{figure.value:.3f} ({figure.n}) | {figure.interval[0]:.3f} to {figure.interval[1]:.3f}"
+def _keys(every: dict[str, Figure], shared: dict[str, Figure]) -> Iterator[str]:
+    for key, (means, bar) in KEYS.items():
+        figure = (shared if key in OF_PROBABILITIES else every)[key]
+        if figure.value is not None and figure.interval is not None:
+            low, high = figure.interval
+            yield f"| `{key}` | {means} | {figure.value:.3f} ({figure.n}) | {low:.3f} to {high:.3f} | {bar} |"
 
 
 def _by_effect(records: Sequence[Record]) -> Iterator[str]:
     """How often single effects were named right, by visibility."""
     cells: dict[tuple[str, int], list[bool]] = defaultdict(list)
-    for r in (r for r in records if r["kind"] == "single"):
+    for r in (r for r in records if r["kind"] == "single" and r["visibility"] > VISIBLE):
         band = next(i for i, (low, high) in enumerate(BANDS) if low <= r["visibility"] < high)
         cells[r["truth"].partition(".")[0], band].append(is_right(r))
     heads = [f"{low:g} to {high:g}" if high < float("inf") else f"over {low:g}" for low, high in BANDS]
@@ -115,31 +148,29 @@ def _reliability(records: Sequence[Record]) -> Iterator[str]:
 
 
 def _misses(records: Sequence[Record]) -> Iterator[str]:
-    missed = [r for r in records if not is_right(r)]
-    left_open = sum(is_undecided(r) for r in missed)
-    yield f"Cases not named right, {len(missed)} of {len(records)}; {left_open} of them undecided with the truth:"
+    shown = [r for r in records if r["kind"] == "healthy" or r["visibility"] > VISIBLE]
+    missed = [r for r in shown if not is_right(r)]
+    yield f"Not named right are {len(missed)} of {len(shown)} that are healthy or show at over 3 times the floor:"
     yield ""
     yield "| seed | rig | hidden | shows | verdict | stated set |"
     yield "|---|---|---|---|---|---|"
     for r in missed:
         stated = ", ".join(r["stated"][:3]) + (f" and {len(r['stated']) - 3} more" if len(r["stated"]) > 3 else "")
         hidden = " + ".join(f"{h['effect']}.{h['place']} ({h['form']})" for h in r.get("hidden", ())) or r["truth"]
-        rig = f"{r['rig']}, {r['law']}" if "rig" in r else "testbed"
         kind = f"{r['kind'].replace('_', ' ')}: " if r["kind"] in ("outside", "left_out") else ""
+        rig = f"{r['rig']}, {r['law']}"
         yield f"| {r['seed']} | {rig} | {kind}{hidden} | {r['visibility']:.1f} | {r['verdict']} | {stated} |"
 
 
 def main() -> None:
     """Rewrites the page's part."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("json", type=Path)
-    parser.add_argument("--later", metavar="NAME", help="shorter, between marks with this name")
-    given = parser.parse_args()
-    content = json.loads(given.json.read_text(encoding="utf-8"))
-    begin, end = (mark.format(given.later) for mark in LATER) if given.later else (BEGIN, END)
-    before, rest = PAGE.read_text(encoding="utf-8").split(begin)
-    after = rest.split(end)[1]
-    PAGE.write_text(f"{before}{begin}\n{page(content, bool(given.later))}{end}{after}", encoding="utf-8")
+    runs = {
+        name: json.loads((ROOT / "benchmarks" / "records" / f"{name}.json").read_text(encoding="utf-8"))
+        for name in RUNS
+    }
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END)[1]
+    PAGE.write_text(f"{before}{BEGIN}\n{page(runs)}{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

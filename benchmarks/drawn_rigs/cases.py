@@ -139,13 +139,13 @@ class Case:
 
 def draw(
     seed: int, folder: File, rig: str | None = None, kind: str | None = None, effect: str | None = None,
-    fresh: bool = False,
+    fresh: bool = False, form: str | None = None,
 ) -> Case:  # fmt: skip
     """The case of a seed; its files are written into a folder.
 
     Args:
         rig: kind of rig instead of a drawn one; likewise `kind` of case.
-        effect: what is hidden, instead of something drawn.
+        effect: what is hidden, instead of something drawn; `form`, in which form, of an effect that has it.
         fresh: record one more command.
     """
     rng = np.random.default_rng([seed, 19])
@@ -154,14 +154,14 @@ def draw(
     kind, rig = kind or chosen, rig or drawn_rig
     while True:  # a rig with everything that is drawn may be unusable
         try:
-            return _draw(rng, seed, folder, kind, rig, law, effect, fresh)
+            return _draw(rng, seed, folder, kind, rig, law, effect, fresh, form)
         except DivergedError:
             continue
 
 
 def _draw(
     rng: np.random.Generator, seed: int, folder: File, kind: str, rig_kind: str, law: str, effect: str | None,
-    fresh: bool,
+    fresh: bool, way: str | None,
 ) -> Case:  # fmt: skip
     rig = draw_rig(rng, rig_kind, law)
     rate, seconds = float(rng.choice(RATES)), float(rng.uniform(6.0, 12.0))
@@ -173,7 +173,7 @@ def _draw(
     view_of = partial(View.of, plans, trials=trials, seed=seed)
     healthy = view_of(rig.reality)
     reality, hidden = rig.reality, []
-    for form, axis, place in _possible(rng, rig, kind):
+    for form, axis, place in _possible(rng, rig, kind, way):
         if len(hidden) == COUNTS[kind]:
             break
         if effect and form.effect != effect:
@@ -239,13 +239,14 @@ def _plan(rng: np.random.Generator, rig: Rig, style: str, rate: float, seconds: 
     )  # fmt: skip
 
 
-def _possible(rng: np.random.Generator, rig: Rig, kind: str) -> Iterator[tuple[Form, int, str]]:
-    """Forms with their axis and place, one of each effect, in a drawn order."""
+def _possible(rng: np.random.Generator, rig: Rig, kind: str, way: str | None = None) -> Iterator[tuple[Form, int, str]]:
+    """Forms with their axis and place, one of each effect, in a drawn order; a certain one of those that have it."""
     possible = forms_of(rig, outside=kind == "outside")
     for name in rng.permutation(sorted({form.effect for form, _, _ in possible})) if COUNTS[kind] else ():
         own = [entry for entry in possible if entry[0].effect == name]
-        way = str(rng.choice(sorted({entry[0].name for entry in own})))
-        places = [entry for entry in own if entry[0].name == way]
+        ways = sorted({entry[0].name for entry in own})
+        chosen = way if way in ways else str(rng.choice(ways))
+        places = [entry for entry in own if entry[0].name == chosen]
         yield places[int(rng.integers(len(places)))]
 
 
