@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 from counting import VISIBLE
 from drawn_rigs.cases import Case, draw
 from drawn_rigs.effects import FORMS
@@ -54,10 +53,7 @@ def main() -> None:
                 if case.hidden and case.hidden[0].form == form.name and case.visibility > VISIBLE:
                     shares += [(after - 1.0) / max(before - 1.0, 1.0) for before, after in left(case, given.threads)]
         told = ", ".join(f"{max(share, 0.0):.3f}" for share in shares)
-        print(
-            f"{form.effect} ({form.name}): {told or 'does not show'}; median {np.median(shares or [np.nan]):.3f}",
-            flush=True,
-        )
+        print(f"{form.effect} ({form.name}): {told or 'does not show'}", flush=True)
 
 
 if __name__ == "__main__":
