@@ -23,10 +23,10 @@ from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate
 
 
-def case(effect="cogging", curve="curve_angle", visibility=10.0, period=0.0, other=None, **more):
+def case(effect="cogging", curve="curve_angle", visibility=10.0, period=0.0, other=None, also=(), **more):
     said = {"axis": "x", "curve": curve, "period": period * 1.01 or None, "kind": "formula", "ties": []}
     said |= {"other_command": other} if other else {}
-    hidden = {"effect": effect, "place": "x", "period": period}
+    hidden = {"effect": effect, "place": "x", "period": period, "also": also}
     return {"kind": "outside", "visibility": visibility, "hidden": [hidden], "proposal": said, "base_on_own": 9.0,
             "verdict": "unknown", **more}  # fmt: skip
 
@@ -39,6 +39,11 @@ def test_a_variable_is_right_wrong_or_not_said():
     assert (found["variable_right"], found["variable_right_n"]) == (pytest.approx(1 / 4), 4)
     assert (found["variable_right_shown"], found["variable_right_shown_n"]) == (pytest.approx(1 / 3), 3)
     assert found["variable_among_shown"] == pytest.approx(2 / 3)
+    bent = (
+        case("coulomb_friction", "curve_reversal"),
+        case("coulomb_friction", "curve_reversal", also=["lugre_friction"]),
+    )
+    assert [figures([one])["variable_right"] for one in bent] == [0.0, 1.0], "a form that is literally that of another"
 
 
 def test_a_command_is_no_angle_and_a_pair_is_neither_of_the_two():

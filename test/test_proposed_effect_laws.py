@@ -29,13 +29,13 @@ FORCES = ("constant", "wave", "spring", "bend", "cubic", "friction", "stribeck",
           "coupling", "rubbing")  # fmt: skip
 # Others are in TOGETHER.
 BY_THEMSELVES = ("constant", "spring", "bend", "cubic", "link", "bristles", "tight", "places", "coupling", "rubbing")
-SENSORS = ("offset", "scale", "bend", "wave", "late", "play", "far_end")
-COMMANDS = ("offset", "scale", "wave", "ticks", "late", "lag", "limit", "profile")
+SENSORS = ("offset", "scale", "bend", "wave", "late", "play", "far_end", "coupled")
+COMMANDS = ("offset", "scale", "wave", "ticks", "late", "lag", "limit", "profile", "coupled")
 TOGETHER = ("fading + drag", "friction + stribeck + viscous", "wave + trailing + creeping + warming",
             "uneven + drag", "-viscous + drag", "-friction + load", "swinging + trailing + swinging",
             "bristles + fading + link")  # fmt: skip
 LATE = ("offset + late", "late + wave + scale")
-COMMANDED = ("scale + late", "limit + wave")
+COMMANDED = ("scale + late", "limit + wave", "coupled + offset")
 DICTIONARIES = {"force": dictionary, "sensor": sensor_dictionary, "command": command_dictionary}
 
 

@@ -9,7 +9,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law.depends import OF_OTHER, depends
 from eps_tunnel_analysis.law.design import COMMAND, Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
-from eps_tunnel_analysis.law.formula import Chosen, command_dictionary, formulas, sensor_dictionary
+from eps_tunnel_analysis.law.formula import Chosen, Term, command_dictionary, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, load_model
@@ -28,7 +28,7 @@ def model() -> Model:
 
 def recorded(model: Model) -> Play:
     """Three trials in which both axes move, each at its own pace."""
-    time = np.arange(501) * 0.01
+    time = np.arange(351) * 0.01
     commands = np.zeros((len(time), 2))
     commands[20:, 0] = 0.06 * np.sin(3.1 * time[20:]) + 0.03 * np.sign(np.sin(5.3 * time[20:]))
     commands[20:, 1] = 0.05 * np.sin(4.3 * time[20:] + 1.0) + 0.03 * np.sign(np.sin(2.2 * time[20:]))
@@ -38,12 +38,22 @@ def recorded(model: Model) -> Play:
                                np.repeat(run.commands, 3, axis=0)))  # fmt: skip
 
 
-def design(model: Model, play: Play) -> Design:
-    return Design.of(missing_force(model, [play], PART, nthread=1, passes=1, commanded=True))
+def design(model: Model, play: Play, commanded: bool = True) -> Design:
+    return Design.of(missing_force(model, [play], PART, nthread=1, passes=1, commanded=commanded))
+
+
+@pytest.fixture(scope="module")
+def terms(model: Model) -> tuple[Term, Term]:
+    """What couples the other axis into a sensor, and into a command."""
+    right = design(model, recorded(model))
+    of_sensor, of_command = (
+        next(t for t in terms if t.name == "coupled") for terms in (sensor_dictionary(right), command_dictionary(right))
+    )
+    return of_sensor, of_command
 
 
 def test_a_belt_that_the_other_axis_turns_is_an_error_of_the_sensor_behind_it(model: Model) -> None:
-    found = design(model, recorded(model.with_effect("cross_coupling", "y", {"share": SHARE})))
+    found = design(model, recorded(model.with_effect("cross_coupling", "y", {"share": SHARE})), commanded=False)
     first = depends(found, PART.signals).first
     assert first is not None and (first.over, first.acts) == ("curve_sensor_other", ("board_y", "sensor"))
     (best, *_) = formulas(found, sensor_dictionary(found), BOARD)
@@ -51,10 +61,8 @@ def test_a_belt_that_the_other_axis_turns_is_an_error_of_the_sensor_behind_it(mo
     assert best.terms[0].values["share"] == pytest.approx(SHARE, rel=0.1)
 
 
-def test_a_command_into_which_the_other_one_is_mixed_has_a_term(model: Model) -> None:
-    play = recorded(model)
-    term = next(t for t in command_dictionary(design(model, play)) if t.name == "coupled")
-    mixed = model.with_effect(declared(effect_file([Chosen(term, {"share": SHARE})])), "y")
+def test_a_command_into_which_the_other_one_is_mixed_has_a_term(model: Model, terms: tuple[Term, Term]) -> None:
+    mixed = model.with_effect(declared(effect_file([Chosen(terms[1], {"share": SHARE})])), "y")
     found = design(model, recorded(mixed))
     said = depends(found, PART.signals)
     assert said.first is not None and OF_OTHER in [d.over for d in (said.first, *said.ties)]
@@ -63,13 +71,9 @@ def test_a_command_into_which_the_other_one_is_mixed_has_a_term(model: Model) ->
     assert best.terms[0].values["share"] == pytest.approx(SHARE, rel=0.25)  # to first order
 
 
-def test_what_the_files_do_is_what_the_columns_say(model: Model) -> None:
+def test_what_the_files_do_is_what_the_columns_say(model: Model, terms: tuple[Term, Term]) -> None:
     play = recorded(model)
-    own = design(model, play)
-    in_sensor, in_command = (
-        declared(effect_file([Chosen(next(t for t in terms if t.name == "coupled"), {"share": SHARE})]))
-        for terms in (sensor_dictionary(own), command_dictionary(own))
-    )
+    in_sensor, in_command = (declared(effect_file([Chosen(term, {"share": SHARE})])) for term in terms)
     trials = play.trials
     without, seen = (simulate(m, trials) for m in (model, model.with_effect(in_sensor, "board_y")))
     expected = SHARE * without.values[0, :, without.index("motor_x")]
