@@ -214,6 +214,7 @@ def test_the_node_serves_while_an_answer_waits_for_a_side_that_is_not_there(benc
     record = bench.node.create_client(Record, "/record")
     parameters = bench.node.create_client(GetParameters, "/analysis_node/get_parameters")
     bench.until(lambda: record.service_is_ready() and parameters.service_is_ready())
+    bench.call(record, Record.Request(start=False))  # an answer finds its way only once both have found each other
     ask = {"folder": str(bench.folder / "bags"), "label": "lonely"}
     waiting = record.call_async(Record.Request(start=True, sides=["sim"], **ask))
     for _ in range(3):
