@@ -27,6 +27,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_next": "descents without the shortest steps; no drift by chance",
     "diagnosis_rivals": "a rival that fits as well calls for a further effect",
     "diagnosis_again": "sets start again after the steps were refined",
+    "diagnosis_forms": "friction of bearings, uneven sensors of drives; general forms that leave noise",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
