@@ -17,9 +17,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 import rclpy
 from nodes_under_test import Workplace, workplace
 from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from eps_tunnel_analysis.recording.bag import read_bag
@@ -209,16 +211,26 @@ def test_what_was_latched_before_is_in_the_bag_and_names_its_model(bench: Workpl
     assert len(read_bag(bag).topics["/sim/model"].messages) == 1
 
 
-def test_the_node_serves_while_an_answer_waits_for_a_side_that_is_not_there(bench: Workplace) -> None:
-    bench.start("eps_tunnel_analysis", "analysis_node", connect_timeout=4.0)
+def lonely_request(bench: Workplace, connect_timeout: float, served: int) -> tuple[Client, Future]:
+    """The client of `/record`, and a request to record a side that is not there, while a node waits for it.
+
+    Args:
+        served: calls of another service that the node answers meanwhile.
+    """
+    bench.start("eps_tunnel_analysis", "analysis_node", connect_timeout=connect_timeout)
     record = bench.node.create_client(Record, "/record")
     parameters = bench.node.create_client(GetParameters, "/analysis_node/get_parameters")
     bench.until(lambda: record.service_is_ready() and parameters.service_is_ready())
     bench.call(record, Record.Request(start=False))  # an answer finds its way only once both have found each other
     ask = {"folder": str(bench.folder / "bags"), "label": "lonely"}
     waiting = record.call_async(Record.Request(start=True, sides=["sim"], **ask))
-    for _ in range(3):
+    for _ in range(served):
         bench.call(parameters, GetParameters.Request(names=["rate"]))
+    return record, waiting
+
+
+def test_the_node_serves_while_an_answer_waits_for_a_side_that_is_not_there(bench: Workplace) -> None:
+    record, waiting = lonely_request(bench, 4.0, served=3)
     assert not waiting.done()
     answer = bench.result(waiting)
     assert answer.success, "who names a side may record what will come"
@@ -230,14 +242,8 @@ def test_the_node_serves_while_an_answer_waits_for_a_side_that_is_not_there(benc
 
 
 def test_a_node_that_is_stopped_answers_at_once_and_records_nothing(bench: Workplace) -> None:
-    bench.start("eps_tunnel_analysis", "analysis_node", connect_timeout=600.0)
-    record = bench.node.create_client(Record, "/record")
-    parameters = bench.node.create_client(GetParameters, "/analysis_node/get_parameters")
-    bench.until(lambda: record.service_is_ready() and parameters.service_is_ready())
-    ask = {"folder": str(bench.folder / "bags"), "label": "lonely"}
-    waiting = record.call_async(Record.Request(start=True, sides=["sim"], **ask))
-    for _ in range(2):  # the first may be served before a request that came with it
-        bench.call(parameters, GetParameters.Request(names=["rate"]))
+    # The first call may be served before a request that came with it.
+    _, waiting = lonely_request(bench, 600.0, served=2)
     process = bench.processes._running.pop("analysis_node")
     process.send_signal(signal.SIGTERM)
     answer = bench.result(waiting)
