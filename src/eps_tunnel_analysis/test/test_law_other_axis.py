@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from labyrinth_recordings import jerked, recorded
 
 from eps_tunnel_analysis.diagnose.added_force import Playing
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
@@ -14,11 +15,11 @@ from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import simulate
-from labyrinth_sim.trials import Trials
 
 PART = AxisPart(("y",), ("motor_y", "board_y"), ())
 BOARD = PART.signals.index("board_y")
 SHARE = 0.08
+SAMPLES = 351
 
 
 @pytest.fixture(scope="module")
@@ -26,16 +27,10 @@ def model() -> Model:
     return load_model("labyrinth")
 
 
-def recorded(model: Model) -> Play:
-    """Three trials in which both axes move, each at its own pace."""
-    time = np.arange(351) * 0.01
-    commands = np.zeros((len(time), 2))
-    commands[20:, 0] = 0.06 * np.sin(3.1 * time[20:]) + 0.03 * np.sign(np.sin(5.3 * time[20:]))
-    commands[20:, 1] = 0.05 * np.sin(4.3 * time[20:] + 1.0) + 0.03 * np.sign(np.sin(2.2 * time[20:]))
-    run = simulate(model, time, commands).select(list(PART.signals))
-    noise = 2e-4 * np.random.default_rng(4).standard_normal((3, *run.values.shape[1:]))
-    return Play("both", Trials(time, run.signals, run.units, run.values + noise, run.command_channels,
-                               np.repeat(run.commands, 3, axis=0)))  # fmt: skip
+def both(model: Model) -> Play:
+    """Both axes move, each at its own pace."""
+    commands = np.column_stack([jerked(3.1, 5.3, SAMPLES), jerked(4.3, 2.2, SAMPLES, 0.05, 1.0)])
+    return recorded(model, PART.signals, commands)
 
 
 def design(model: Model, play: Play, commanded: bool = True) -> Design:
@@ -45,7 +40,7 @@ def design(model: Model, play: Play, commanded: bool = True) -> Design:
 @pytest.fixture(scope="module")
 def terms(model: Model) -> tuple[Term, Term]:
     """What couples the other axis into a sensor, and into a command."""
-    right = design(model, recorded(model))
+    right = design(model, both(model))
     of_sensor, of_command = (
         next(t for t in terms if t.name == "coupled") for terms in (sensor_dictionary(right), command_dictionary(right))
     )
@@ -53,7 +48,7 @@ def terms(model: Model) -> tuple[Term, Term]:
 
 
 def test_a_belt_that_the_other_axis_turns_is_an_error_of_the_sensor_behind_it(model: Model) -> None:
-    found = design(model, recorded(model.with_effect("cross_coupling", "y", {"share": SHARE})), commanded=False)
+    found = design(model, both(model.with_effect("cross_coupling", "y", {"share": SHARE})), commanded=False)
     first = depends(found, PART.signals).first
     assert first is not None and (first.over, first.acts) == ("curve_sensor_other", ("board_y", "sensor"))
     (best, *_) = formulas(found, sensor_dictionary(found), BOARD)
@@ -63,7 +58,7 @@ def test_a_belt_that_the_other_axis_turns_is_an_error_of_the_sensor_behind_it(mo
 
 def test_a_command_into_which_the_other_one_is_mixed_has_a_term(model: Model, terms: tuple[Term, Term]) -> None:
     mixed = model.with_effect(declared(effect_file([Chosen(terms[1], {"share": SHARE})])), "y")
-    found = design(model, recorded(mixed))
+    found = design(model, both(mixed))
     said = depends(found, PART.signals)
     assert said.first is not None and OF_OTHER in [d.over for d in (said.first, *said.ties)]
     (best, *_) = formulas(found, command_dictionary(found), COMMAND)
@@ -72,7 +67,7 @@ def test_a_command_into_which_the_other_one_is_mixed_has_a_term(model: Model, te
 
 
 def test_what_the_files_do_is_what_the_columns_say(model: Model, terms: tuple[Term, Term]) -> None:
-    play = recorded(model)
+    play = both(model)
     in_sensor, in_command = (declared(effect_file([Chosen(term, {"share": SHARE})])) for term in terms)
     trials = play.trials
     without, seen = (simulate(m, trials) for m in (model, model.with_effect(in_sensor, "board_y")))

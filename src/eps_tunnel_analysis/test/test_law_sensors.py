@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from labyrinth_recordings import jerked, recorded
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.law.depends import depends
@@ -12,8 +13,6 @@ from eps_tunnel_analysis.law.formula import Chosen, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.simulate import simulate
-from labyrinth_sim.trials import Trials
 
 PART = AxisPart(("x",), ("motor_x", "board_x"), ())
 DELAY = 0.02  # s
@@ -24,15 +23,10 @@ def model() -> Model:
     return load_model("labyrinth")
 
 
-def recorded(model: Model) -> Play:
-    """Three trials of a model."""
-    time = np.arange(601) * 0.01
-    commands = np.zeros((len(time), 2))
-    commands[20:, 0] = 0.06 * np.sin(3.1 * time[20:]) + 0.03 * np.sign(np.sin(5.3 * time[20:]))
-    run = simulate(model, time, commands).select(["motor_x", "board_x"])
-    noise = 2e-4 * np.random.default_rng(4).standard_normal((3, *run.values.shape[1:]))
-    return Play("late", Trials(time, run.signals, run.units, run.values + noise, run.command_channels,
-                               np.repeat(run.commands, 3, axis=0)))  # fmt: skip
+def alone(model: Model) -> Play:
+    """Axis x moves alone."""
+    command = jerked(3.1, 5.3, 601)
+    return recorded(model, PART.signals, np.column_stack([command, np.zeros_like(command)]))
 
 
 def design(model: Model, play: Play) -> Design:
@@ -41,7 +35,7 @@ def design(model: Model, play: Play) -> Design:
 
 def test_a_sensor_that_is_late_is_off_by_its_speed_and_its_delay_is_found(model: Model) -> None:
     late = model.with_effect("sensor_delay", "board_x", {"delay": DELAY})
-    found = design(model, recorded(late))
+    found = design(model, alone(late))
     first = depends(found, PART.signals).first
     assert first is not None
     assert (first.variable, first.curve, first.place) == (
@@ -59,9 +53,9 @@ def test_a_sensor_that_is_late_is_off_by_its_speed_and_its_delay_is_found(model:
 def test_a_sensor_behind_a_play_or_a_flexible_link_is_found_by_its_term(
     model: Model, name: str, values: dict[str, float]
 ) -> None:
-    terms = {term.name: term for term in sensor_dictionary(design(model, recorded(model)))}
+    terms = {term.name: term for term in sensor_dictionary(design(model, alone(model)))}
     behind = model.with_effect(declared(effect_file([Chosen(terms[name], values)])), "board_x")
-    found = design(model, recorded(behind))
+    found = design(model, alone(behind))
     (best, *_) = formulas(found, sensor_dictionary(found), PART.signals.index("board_x"))
     term = best.terms[0]
     assert term.term.name == name
@@ -72,6 +66,6 @@ def test_a_sensor_behind_a_play_or_a_flexible_link_is_found_by_its_term(
 def test_no_sensor_is_early(model: Model) -> None:
     """The model says that it is late, and it is not: no delay can mend that."""
     late = model.with_effect("sensor_delay", "board_x", {"delay": DELAY})
-    found = design(late, recorded(model))
+    found = design(late, alone(model))
     laws = formulas(found, sensor_dictionary(found), PART.signals.index("board_x"))
     assert not [c for law in laws for c in law.terms if c.term.name == "late"]

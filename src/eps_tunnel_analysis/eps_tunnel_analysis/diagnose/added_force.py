@@ -241,6 +241,11 @@ def _reversals(speed: Array, step: float) -> tuple[Array, Array]:
     return np.asarray(direction, dtype=np.float64), np.asarray(since, dtype=np.float64)
 
 
+def beside_another(motions: Sequence[Motion]) -> bool:
+    """Whether the axis has another one beside it."""
+    return all(m.other.size for m in motions)
+
+
 def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
     """Free curve -> short name of each number of its range, so that it covers what these motions visit."""
     angle = _middle([m.angle for m in motions])
@@ -253,7 +258,7 @@ def visited(motions: Sequence[Motion]) -> dict[str, dict[str, float]]:
         "curve_time": {"end": max(float(m.time[-1]) for m in motions)},
         "curve_time_friction": {"end": max(float(m.time[-1]) for m in motions)},
     }
-    if all(m.other.size for m in motions):
+    if beside_another(motions):
         other = _middle([m.other for m in motions])
         spans |= {"curve_other": other, "curve_other_friction": other}
     return spans

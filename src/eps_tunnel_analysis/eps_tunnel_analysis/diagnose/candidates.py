@@ -252,7 +252,7 @@ def _ladders(switching: Sequence[Parameter]) -> Iterator[Array]:
     if all(p.off == p.high and p.low > 0 for p in switching):
         together = np.column_stack([np.geomspace(p.low, p.high, LIMITS + 2)[1:-1] for p in switching])
         yield together
-        for k in range(len(switching) if len(switching) > 1 else 0):
+        for k in range(len(switching)):
             alone = np.tile([p.high for p in switching], (LIMITS, 1))
             alone[:, k] = together[:, k]
             yield alone

@@ -219,7 +219,7 @@ def rank(
         floor, unit,
     )  # fmt: skip
     if not floor:
-        beyond = _soft(np.log(np.maximum(worst[:, 0] * unit, 1e-12) / (SETTINGS.unrepeated * SETTINGS.healthy)))
+        beyond = _above(worst[:, 0] * unit, SETTINGS.unrepeated * SETTINGS.healthy)
         none, unknown = none * (1.0 - beyond), none * beyond
     lacking = SETTINGS.odd if drifts else 0.0
     unknown_total = float(np.mean(unknown)) * (1.0 - lacking) + lacking
@@ -353,12 +353,12 @@ def _probabilities(
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     # A sum of effects may leave nothing for its forms where one curve does without: it may only imitate that one.
     several = np.array([h.refit.several for h in hypotheses])
-    enough = 1.0 - _soft(np.log(np.maximum(curve, 1e-12) / SETTINGS.healthy))
+    enough = 1.0 - _above(curve, SETTINGS.healthy)
     formed = kept * np.maximum(base - 1.0, 0.0)[:, None] * np.where(several, 1.0 - enough[:, None], 1.0)
     formed = np.maximum(formed, np.maximum(level - 1.0, 0.0))
-    beyond = _soft(np.log(np.maximum(remaining, 1e-12) / (SETTINGS.healthy + SETTINGS.form * formed)))
+    beyond = _above(remaining, SETTINGS.healthy + SETTINGS.form * formed)
     excess = (remaining - curve[:, None]) / _curve_room(before, curve)[:, None]
-    formless = _soft(np.log(np.maximum(excess, 1e-12)))
+    formless = _above(excess, 1.0)
     explained = (1.0 - beyond) * (1.0 - formless)
     named = shares * explained * (1.0 - none)[:, None]
     return none, named, 1.0 - none - named.sum(axis=1)
@@ -425,8 +425,8 @@ def _no_better_than_complete(
     """
     capped = scores.copy()
     for i, j in _forms(hypotheses):
-        general, simple = (_soft(np.log(np.maximum(worst[:, k] * unit, 1e-12) / SETTINGS.healthy)) for k in (i, j))
-        matters = _soft(np.log(np.maximum(worst[:, j] - worst[:, i], 1e-12) * unit / SETTINGS.material))
+        general, simple = (_above(worst[:, k] * unit, SETTINGS.healthy) for k in (i, j))
+        matters = _above((worst[:, j] - worst[:, i]) * unit, SETTINGS.material)
         surely = (1.0 - general) * simple * matters
         worse = 0.5 * worth * np.maximum(_surprise(costs[:, j]) - _surprise(costs[:, i]), 0.0)
         capped[:, j] = np.minimum(capped[:, j], surely * (scores[:, i] - worse) + (1.0 - surely) * capped[:, j])
@@ -443,12 +443,17 @@ def _forms(hypotheses: Sequence[Hypothesis]) -> Iterator[tuple[int, int]]:
 def _materially(gain: Array, misfit: Array, kept: float, matters: float = SETTINGS.material) -> Array:
     """(d,) from 0 to 1: how far gains (d,) are more than what matters and than what form alone may do."""
     least = np.maximum(matters, SETTINGS.share * kept * misfit)
-    return _soft(np.log(np.maximum(gain, 1e-12) / least))
+    return _above(gain, least)
 
 
 def _curve_room(base: Array | float, curve: Array | float) -> Array:
     """Floors by which a named effect may be worse than a free curve."""
     return np.maximum(SETTINGS.material, SETTINGS.curve * np.maximum(np.asarray(base) - np.asarray(curve), 0.0))
+
+
+def _above(floors: Array, limit: Array | float) -> Array:
+    """From 0 to 1 as floors go from below a limit to above."""
+    return _soft(np.log(np.maximum(floors, 1e-12) / limit))
 
 
 def _soft(log_ratio: Array) -> Array:

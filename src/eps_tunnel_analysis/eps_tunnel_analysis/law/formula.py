@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.added_force import Motion
+from eps_tunnel_analysis.diagnose.added_force import Motion, beside_another
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.law.depends import FREQUENCIES, LATE, OF_COMMAND, OF_OTHER, SWING, refined
 from eps_tunnel_analysis.law.design import COMMAND, Design, Predictor
@@ -240,7 +240,7 @@ def dictionary(design: Design) -> list[Term]:
              (size, lag), tuple(float(t) for t in np.array([0.2, 0.5, 1.0, 2.0]) * long),
              lambda m, t: _column(moving(m) * np.exp(-m.time / t)), "memory"),
     ]  # fmt: skip
-    if all(m.other.size for m in motions):
+    if beside_another(motions):
         terms += [
             Term("coupling", "torque", "{stiffness} * other", "k other", (Number("stiffness", per_rad, True, 3.0),),
                  (), lambda m, _: _column(m.other), "other_axis"),
@@ -253,16 +253,13 @@ def dictionary(design: Design) -> list[Term]:
 
 def sensor_dictionary(design: Design) -> list[Term]:
     """Every term that may be a sensor's error over what it measures, or its delay."""
+    motions = [p.motion for p in design.plays]
     waves = tuple(float(p) for p in periods(design))
-    low, high, held = _visited([p.motion for p in design.plays])
+    low, high, held = _visited(motions)
     size = Number("size", "rad", True, 3.0)
     wave = (size, Number("period", "rad", False, 1.3), Number("phase", "rad", False, 0.0))
     share = Number("share", "1", True, 3.0)
-    coupled = [
-        Term("coupled", "sensor_other", "{share} * other", "c other", (share,), (), lambda m, _: _column(m.other),
-             "other_axis"),
-    ] if all(p.motion.other.size for p in design.plays) else []  # fmt: skip
-    return [
+    terms = [
         Term("offset", "sensor", "{size} + 0.0 * angle", "b", (size,), (), lambda m, _: _column(np.ones_like(m.angle))),
         Term("scale", "sensor", "{share} * angle", "g angle", (share,), (),
              lambda m, _: _column(m.angle)),
@@ -277,8 +274,11 @@ def sensor_dictionary(design: Design) -> list[Term]:
         Term("far_end", "far_end", "{share}, {frequency}, {damping}", "g (z - angle), z'' = w^2 (angle - z) + ...",
              (Number("share", "1", True, 3.0, True, 2.0, least=0.0), *ON_SPRING), SWINGING,
              lambda m, w: _column(-swing(m, w) / w**2)),
-        *coupled,
     ]  # fmt: skip
+    if beside_another(motions):
+        terms.append(Term("coupled", "sensor_other", "{share} * other", "c other", (share,), (),
+                          lambda m, _: _column(m.other), "other_axis"))  # fmt: skip
+    return terms
 
 
 def _behind_a_play(motion: Motion, width: float) -> Array:
@@ -313,7 +313,7 @@ def command_dictionary(design: Design) -> list[Term]:
         equation = "A sin(2 pi command / L + phase)"
         formula = "{size} * np.sin(2 * np.pi * target / {period} + {phase})"
         terms.append(Term("wave", "target", formula, equation, wave, waves, lambda m, p: in_waves(target(m), p)))
-    if all(m.other.size for m in motions):
+    if beside_another(motions):
         terms.append(Term("coupled", "target_other", "{share} * other", "c other command", (share,), (),
                           lambda m, _: _column(m.other_command), "other_axis"))  # fmt: skip
     if ticks:
