@@ -15,11 +15,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 from short_sequence import SHORT
 
 from eps_tunnel_analysis.cli.main import main
+from eps_tunnel_analysis.diagnose import base_values as base_values_module
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.rank import itself
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import parse_sequence
@@ -29,13 +31,14 @@ from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import Run, run_offline
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.trials import Trials
+from labyrinth_sim.trials import Array, Trials
 
 STEPS = [f"    - step: {{to_deg: {to}, lasts_s: {lasts}}}" for to, lasts in ((4, 0.8), (-4, 0.8), (4, 1.6))]
 # One axis rests while the other still moves.
 BOTH = SHORT.replace("  motor_y:", "    - hold: {lasts_s: 0.8}\n  motor_y:")
 BOTH = BOTH.replace("    - hold: {lasts_s: 2.4}", "\n".join(STEPS))
 FEW = ("gravity_load", "return_spring")
+MORE = (*FEW, "coulomb_friction", "viscous_friction", "gain_error", "sensor_gain", "command_delay", "backlash")
 ON_SENSORS = ("gravity_load", "sensor_bias", "sensor_delay")
 
 
@@ -87,6 +90,49 @@ def test_a_strong_effect_is_named_and_its_error_falls(unbalanced: tuple[Play, Di
     assert sum(v.set.values()) == pytest.approx(1.0)
     assert v.after.held_out < 0.5 * v.before.held_out
     assert v.after.alikeness > v.before.alikeness
+
+
+@pytest.mark.study
+def test_a_search_without_shortcuts_says_the_same(unbalanced: tuple[Play, Diagnosis]) -> None:
+    quick, slow = (
+        diagnose(wrong_model(), [unbalanced[0]], only=MORE, experiments=False, exhaustive=exhaustive).verdict
+        for exhaustive in (False, True)
+    )
+    assert (slow.verdict, slow.effects) == (quick.verdict, quick.effects)
+    assert slow.set == pytest.approx(quick.set, abs=0.02)
+    assert slow.evaluations > quick.evaluations
+
+
+def test_a_model_that_was_fitted_to_the_same_recording_is_diagnosed_in_fewer_rollouts(
+    unbalanced: tuple[Play, Diagnosis],
+) -> None:
+    play, first = unbalanced
+    anew, on = (
+        diagnose(first.model, [play], only=("return_spring",), experiments=False, fitted=fitted).verdict
+        for fitted in (False, True)
+    )
+    assert (on.verdict, on.effects) == (anew.verdict, anew.effects) == ("complete", ())
+    assert on.floor["x"][0] == pytest.approx(anew.floor["x"][0], abs=0.2)
+    assert on.evaluations < 0.6 * anew.evaluations
+
+
+def test_other_base_values_are_tried_where_those_of_a_fitted_model_leave_too_much(
+    unbalanced: tuple[Play, Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play, first = unbalanced
+    asked: list[Model] = []
+
+    def counted(search: Search, values: Array, keep: int) -> list[Array]:
+        asked.append(search.library.model)
+        return [values]
+
+    monkeypatch.setattr(base_values_module, "base_starts", counted)
+    for model in (first.model, first.base_model):
+        (part,) = axis_parts(model, [play])
+        search = axis_search(model, [play], part, SearchOptions(only=()))
+        known = {name: model.values()[name] for name in part.base}
+        base_values_module.base_refit(search, known, fitted=True)
+    assert [len(model.effects) for model in asked] == [0]
 
 
 def test_what_is_said_of_an_axis_fits_together(unbalanced: tuple[Play, Diagnosis]) -> None:

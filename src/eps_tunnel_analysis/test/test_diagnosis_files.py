@@ -16,7 +16,7 @@ from eps_tunnel_analysis.loop.experimenter import Added, Ending, Stair
 from eps_tunnel_analysis.loop.notebook import Notebook, addition_page, ending_page
 from eps_tunnel_analysis.loop.reason import DiagnosisOptions, DiagnosisRun, Reason, diagnose_recorded
 from eps_tunnel_analysis.report.pictures import answer_picture, left_over_picture, staircase_picture
-from eps_tunnel_analysis.report.reports import Findings, write_diagnosis
+from eps_tunnel_analysis.report.reports import Findings, was_fitted, write_diagnosis
 from eps_tunnel_analysis.terminal import print_verdict, text_of
 from labyrinth_sim.model import load_model
 
@@ -47,6 +47,21 @@ def written(found: Findings, folder: Path) -> tuple[dict[str, object], str]:
     folder.mkdir()
     write_diagnosis(folder, folder, found, [Path("bags")], "m")
     return yaml.safe_load((folder / "model.yaml").read_text()), (folder / "report.html").read_text()
+
+
+def test_a_model_knows_the_recordings_of_the_diagnosis_that_it_comes_from(found: Findings, tmp_path: Path) -> None:
+    written(found, tmp_path / "named")
+    bags = [bag for bag, _ in found.recorded.bags]
+    options = DiagnosisOptions(candidates=("coulomb_friction",), threads=1)
+    file = tmp_path / "named" / "model.yaml"
+    assert not was_fitted(found.recorded)
+    again = options.recorded(file, bags)
+    assert was_fitted(again)
+    assert not was_fitted(options.recorded(file, bags[:2]))
+    verdict = diagnose_recorded(again, options, DiagnosisRun()).diagnosis.verdict
+    assert verdict.verdict == "complete"
+    anew = replace(again, model=replace(again.model, provenance={}))
+    assert verdict.evaluations < diagnose_recorded(anew, options, DiagnosisRun()).diagnosis.verdict.evaluations
 
 
 def test_the_model_of_an_undecided_diagnosis_is_the_given_one_refitted(found: Findings, tmp_path: Path) -> None:

@@ -96,6 +96,12 @@ def add_diagnosis_arguments(parser: argparse.ArgumentParser) -> None:
                         help="on stderr: a bar, or lines of JSON for programs (default: %(default)s)")  # fmt: skip
 
 
+def add_search_arguments(parser: argparse.ArgumentParser) -> None:
+    """--candidates and --exhaustive, of commands that look for what is missing."""
+    parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects to consider (default: all)")
+    parser.add_argument("--exhaustive", action="store_true", help="search without shortcuts; takes many times as long")
+
+
 def add_threads_argument(parser: Any, but: str = "") -> None:
     """--threads, of a parser or a group; 0 for all. `but` says what else the default depends on."""
     parser.add_argument(
@@ -125,7 +131,7 @@ def diagnosis_options(arguments: argparse.Namespace, timing: float = 0.0, thread
     return DiagnosisOptions(
         tuple(candidates) if candidates else None, arguments.seed, arguments.threads or threads,
         timing if arguments.timing is None else arguments.timing, reading_of(arguments), arguments.effects,
-        tuple(arguments.known or ()), tuple(arguments.held_out or ()),
+        tuple(arguments.known or ()), tuple(arguments.held_out or ()), getattr(arguments, "exhaustive", False),
     )  # fmt: skip
 
 

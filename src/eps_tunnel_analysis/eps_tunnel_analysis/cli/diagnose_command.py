@@ -10,6 +10,7 @@ from eps_tunnel_analysis.cli.arguments import (
     add_bag_arguments,
     add_diagnosis_arguments,
     add_model_arguments,
+    add_search_arguments,
     diagnosis_options,
 )
 from eps_tunnel_analysis.outputs import json_text
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag_arguments(parser)
     add_model_arguments(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for report and JSON")
-    parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects to consider (default: all)")
+    add_search_arguments(parser)
     add_diagnosis_arguments(parser)
     parser.add_argument(
         "--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler whose workers run the simulations"

@@ -10,6 +10,7 @@ from eps_tunnel_analysis.cli.arguments import (
     add_bag_arguments,
     add_diagnosis_arguments,
     add_model_arguments,
+    add_search_arguments,
     at_least_one,
     diagnosis_options,
 )
@@ -40,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag_arguments(parser, required=False)
     add_model_arguments(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for every step")
-    parser.add_argument("--candidates", nargs="+", metavar="EFFECT", help="effects to consider (default: all)")
+    add_search_arguments(parser)
     add_diagnosis_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print staircase.json, and nothing else, to stdout")
     parser.add_argument("--most-steps", type=at_least_one, default=MOST_STEPS, metavar="N",

@@ -88,6 +88,7 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
     the most promising ones may lie in a wrong valley, too.
     """
     chosen: dict[frozenset[str], list[TrialPoint]] = {}
+    shortlist = np.inf if search.exhaustive else shortlist
     for point in tried:
         name = frozenset([*points[point.on].effects, point.candidate.name])
         if name in chosen or len(chosen) < shortlist:
@@ -170,7 +171,7 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         points = search.trial_points([bare], candidates)
         promising = [p for p in points if p.promised < known.get(rest | {p.candidate.name}, np.inf)]
         jobs += _jobs(search, [bare], promising, RIVALS)
-    return search.best_of(jobs, ROUNDS) if jobs else []
+    return search.best_of(jobs, ROUNDS, best.cost) if jobs else []
 
 
 def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
@@ -363,7 +364,7 @@ def diagnose_axis(
     bases = bases or Bases()
     own, played = bases.among(model, plays, part)
     search = axis_search(own, played, part, run)
-    base = base_refit(search, bases.known(part))
+    base = base_refit(search, bases.known(part), fitted=run.fitted)
     floor = floor_known(plays)
     base, refits = refitted_sets(search, base, level=level, floor=floor)
     curves: list[Hypothesis] = []

@@ -54,12 +54,16 @@ class SearchOptions:
         nthread: 0 for one per CPU; the answer does not depend on it.
         progress: called now and then with the current step and the number of roll-outs of this search.
         spread: runs roll-outs elsewhere; None for this machine.
+        exhaustive: without shortcuts: every effect is descended, and none given up before its descent has ended.
+        fitted: the model's values were fitted to these recordings before.
     """
 
     only: tuple[str, ...] | None = None
     nthread: int = 0
     progress: Callable[[str, int], None] | None = None
     spread: Spread | None = None
+    exhaustive: bool = False
+    fitted: bool = False
 
 
 @dataclass(frozen=True)
@@ -229,7 +233,7 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
         scale = np.hypot(scale, inexactness(evidence.time))
     count = partial(run.progress, part.title) if run.progress else None
     difference = BALL_DIFFERENCE if ball else DIFFERENCE
-    search = Search(lib, levels, scale, np.flatnonzero(used), count, difference)
+    search = Search(lib, levels, scale, np.flatnonzero(used), count, difference, run.exhaustive)
     search.see_ticks(search.start)
     return search
 

@@ -12,6 +12,7 @@ from eps_tunnel_analysis.diagnose.prescribed import Motions, coupled_with, measu
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import HOPELESS, STANDS, Search
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
@@ -35,7 +36,7 @@ class Bases:
     Attributes:
         values: full name -> value.
         evaluations: roll-outs that it took.
-        left: part -> floors that these values leave on it.
+        left: part -> floors that these values leave on it, where they were fitted.
         motions: of axes that inertia couples, as they were measured.
     """
 
@@ -54,6 +55,12 @@ class Bases:
     def known(self, part: AxisPart) -> dict[str, float] | None:
         """The values of one part; None unless all are known."""
         return {n: self.values[n] for n in part.base} if part.base and set(part.base) <= set(self.values) else None
+
+
+def stated_bases(model: Model, plays: Sequence[Play], parts: Sequence[AxisPart]) -> Bases:
+    """The base values of every axis as the model states them."""
+    stated = model.values()
+    return Bases({n: stated[n] for part in parts for n in part.base}, motions=measured_motions(model, plays))
 
 
 def fitted_bases(
@@ -94,7 +101,9 @@ def _fitted(
     return Bases(values, search.evaluations, {part.name: refit.cost})
 
 
-def base_refit(search: Search, known: Mapping[str, float] | None = None, roughly: bool = False) -> Refit:
+def base_refit(
+    search: Search, known: Mapping[str, float] | None = None, roughly: bool = False, fitted: bool = False
+) -> Refit:
     """The base values alone: descended from the model's own and from the best of many others.
 
     Delay and D can compensate for each other, and a base stuck in the wrong valley makes any effect look good.
@@ -102,13 +111,22 @@ def base_refit(search: Search, known: Mapping[str, float] | None = None, roughly
     Args:
         known: values from an earlier search; the descent continues from these.
         roughly: only in the best valley, judged by the fine level.
+        fitted: the known values are the model's own, from an earlier diagnosis. If they leave more than a healthy rig
+            does, other valleys are looked for as well.
     """
     if known is None:
         points = base_starts(search, search.start, BASE_STARTS)
     else:
         points = [search.start.copy()]
         points[0][: len(search.library.base)] = [known[name] for name in search.library.base]
-    return _in_valley(search, points, first=True) if roughly else base_from(search, points, first=True)
+    if roughly:
+        return _in_valley(search, points, first=True)
+    refit = base_from(search, points, first=True)
+    if fitted and worst_floors(refit.residuals, search.signal) > SETTINGS.healthy:
+        other = base_from(search, base_starts(search, search.start, BASE_STARTS))
+        refit = min(refit, other, key=lambda r: r.objective)
+        search.settle_at(refit)
+    return refit
 
 
 def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
@@ -210,7 +228,7 @@ def softened(search: Search, refits: Sequence[Refit]) -> list[Refit]:
 
 def best_valleys(search: Search, starts: Sequence[Array]) -> list[Refit]:
     """The base values alone, from the best of several (K,) values and from far along the best one's valley."""
-    early = search.refit([((), point) for point in starts], BASE_ROUNDS, rough=False)
+    early = search.refit([((), point) for point in starts], BASE_ROUNDS, rough=False, race=np.inf)
     best = sorted(early, key=lambda r: r.objective)[:BASE_FINALISTS]
     finer = search.refit([((), r.values) for r in best], COMPARED_ROUNDS, "fine", rough=False)
     away = along_valley(search, min(finer, key=lambda r: r.objective))

@@ -23,7 +23,7 @@ from eps_tunnel_analysis.diagnose.axis_search import (
     moved_parts,
 )
 from eps_tunnel_analysis.diagnose.ball import sees_ball, split, without_ball
-from eps_tunnel_analysis.diagnose.base_values import Bases, fitted_bases
+from eps_tunnel_analysis.diagnose.base_values import Bases, fitted_bases, stated_bases
 from eps_tunnel_analysis.diagnose.doubts import doubts, notes_of
 from eps_tunnel_analysis.diagnose.errors import distances
 from eps_tunnel_analysis.diagnose.experiment import next_experiment
@@ -47,6 +47,8 @@ def diagnose(
     levels: Mapping[str, float] | None = None,
     held: Sequence[Play] = (),
     spread: Spread | None = None,
+    exhaustive: bool = False,
+    fitted: bool = False,
 ) -> Diagnosis:
     """Names what a model lacks.
 
@@ -60,6 +62,8 @@ def diagnose(
         held: plays that are never fitted, for the held-out error; without them stretches of time are left out in turn.
         experiments: look for an experiment that decides, if the recordings do not.
         spread: runs roll-outs elsewhere, such as from `fit.cluster.cluster`; the answer does not depend on it.
+        exhaustive: without shortcuts: every effect is descended, and none given up before its descent has ended.
+        fitted: the model's values were fitted to these plays before; the search starts there.
 
     Raises:
         InputError: no axis with a measured position and a command that moves it, unknown effect names.
@@ -72,11 +76,16 @@ def diagnose(
     moved = moved_parts(model, parts, alone)
     effects = len(on_axes) if only is not None else len(model.registry.effects)
     count = RolloutCount(progress, expected_rollouts([(len(p.base), effects) for p in moved])) if progress else None
-    run = SearchOptions(tuple(on_axes) if only is not None else None, nthread, count, spread)
+    run = SearchOptions(tuple(on_axes) if only is not None else None, nthread, count, spread, exhaustive,
+                        fitted and not exhaustive)  # fmt: skip
 
     # Each axis by itself, two coupled ones together.
     groups = joined(model, moved, run.only)
-    bases = fitted_bases(model, alone, moved, run, roughly=True) if len(parts) > 1 else Bases()
+    bases = Bases()
+    if run.fitted:
+        bases = stated_bases(model, alone, moved)
+    elif len(parts) > 1:
+        bases = fitted_bases(model, alone, moved, run, roughly=True)
     axes = diagnosed(model, alone, groups, run, levels, bases)
     judged = len(axes)
     if rolls:
@@ -92,7 +101,8 @@ def diagnose(
     missing = {c.name: axis.base.cost for axis in axes for c in axis.search.library.candidates}
     named = tuple(sorted(named, key=lambda name: -missing[name]))
     # Where something unknown is missing, the lowest valley would only imitate it best.
-    final = with_refits(model, axes, named, final=kind in ("effect", "complete"))
+    # The values of a model that was fitted before, and lacks nothing, come from the lowest one.
+    final = with_refits(model, axes, named, final=kind == "effect" or (kind == "complete" and not run.fitted))
     base_model = with_refits(model, axes, ()) if named else final
 
     # How far each is from the recordings.

@@ -61,6 +61,7 @@ class Search:
         used: (R,) which of the evidence's samples are compared.
         progress: called with the number of roll-outs so far.
         difference: step of the finite differences, in shares of each value's span.
+        exhaustive: nothing is given up before its descent has ended.
     """
 
     def __init__(
@@ -71,7 +72,9 @@ class Search:
         used: NDArray[np.int64],
         progress: Callable[[int], None] | None = None,
         difference: float = DIFFERENCE,
+        exhaustive: bool = False,
     ) -> None:
+        self.exhaustive = exhaustive
         self.library, self.levels, self.used = library, dict(levels), used
         self.evidence = levels["coarse"]
         infos = library.model.parameters()
@@ -262,7 +265,7 @@ class Search:
         scale = np.ones(len(self.evidence.mean))
         scale[self.used] = self.scale
         levels = {level: stepped[id(evidence)] for level, evidence in self.levels.items()}
-        other = Search(library, levels, scale, self.used, self.progress)
+        other = Search(library, levels, scale, self.used, self.progress, exhaustive=self.exhaustive)
         size = len(library.base)
         for name in ("_idle", "sharp", "difference"):
             getattr(other, name)[:size] = getattr(self, name)[:size]
@@ -304,15 +307,17 @@ class Search:
 
     def refit(
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,
-        rough: bool = True, tolerance: float = TOLERANCE,
+        rough: bool = True, tolerance: float = TOLERANCE, race: float | None = None,
     ) -> list[Refit]:  # fmt: skip
-        """Descends jobs side by side, all of them to the end.
+        """Descends jobs side by side, all of them to the end unless they race.
 
         Args:
             jobs: the candidates to fit together with the base values, and (K,) values to start from.
             shifts: (jobs, R) added to each one's residuals.
             rough: move also the base values that are known roughly.
             tolerance: relative gain of a round below which a descent rests.
+            race: objective of what was fitted before; a descent that after its first rounds is HOPELESS times above
+                that, or above the best of the others, is given up.
         """
         if not jobs:
             return []
@@ -333,7 +338,8 @@ class Search:
         size = len(self.used)
         z0 = (np.array([start for _, start in jobs]) - self.low) / self.spans
         cheaper = partial(scaled, level="coarse") if level != "coarse" else None
-        result = descend(scaled, z0, free, rounds, self.difference, tolerance, response=RESPONSE, slopes=cheaper,
+        hopeless = None if race is None or self.exhaustive else Race(race * size / (size + len(stated)))
+        result = descend(scaled, z0, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
                          width=width)  # fmt: skip
         values = np.clip(self.low + result.z * self.spans, self.low, self.high)
         return [
@@ -343,17 +349,23 @@ class Search:
             for row, (candidates, _) in enumerate(jobs)
         ]  # fmt: skip
 
-    def best_of(self, jobs: Sequence[Job], rounds: int) -> list[Refit]:
+    def best_of(self, jobs: Sequence[Job], rounds: int, known: float = np.inf) -> list[Refit]:
         """Descends all jobs a little, the promising ones to the end; the best refit of each set of effects, best first.
 
-        A shortlist of sets goes on in any case; beyond it only those within HOPELESS times the best.
+        A shortlist of sets goes on until one leaves only noise; the others only within HOPELESS times the best.
+
+        Args:
+            known: floors that the best set leaves which was fitted before.
         """
         begun = self.refit(jobs, FIRST_ROUNDS)
         rough = self._rough(begun)
         redone = self.refit([job for job, bad in zip(jobs, rough, strict=True) if bad], FIRST_ROUNDS, "fine")
         early = best_by_set([*redone, *(r for r, bad in zip(begun, rough, strict=True) if not bad)])
         lowest = early[0].cost if early else np.inf
-        going = [r for i, r in enumerate(early) if not r.converged and (i < SHORTLIST or r.cost < HOPELESS * lowest)]
+        certain = SHORTLIST if min(lowest, known) > SETTINGS.healthy else LEAST_JUDGED
+        certain = len(early) if self.exhaustive else certain
+        reach = HOPELESS * min(lowest, max(known, 1.0))
+        going = [r for i, r in enumerate(early) if not r.converged and (i < certain or r.cost < reach)]
         finer = {id(r) for r in redone}
         late: list[Refit] = []
         for level in ("coarse", "fine"):
@@ -435,7 +447,8 @@ class Search:
             if "own" in self.levels:
                 starts = self._along_weakest(refit) + self.beside_stated([refit], VALLEY_ROUNDS, "own")
                 jobs = [(self.library.of(refit.effects), point) for point in starts]
-                refits += self.refit(jobs, VALLEY_ROUNDS, "own", tolerance=STANDS / VALLEY_ROUNDS)
+                refits += self.refit(jobs, VALLEY_ROUNDS, "own", tolerance=STANDS / VALLEY_ROUNDS,
+                                     race=refits[0].objective)  # fmt: skip
             self._valleys[key] = tuple(sorted(refits, key=lambda r: r.objective))
         return self._valleys[key]
 
@@ -576,6 +589,21 @@ class Search:
         steps = np.diagonal((points - refit.values)[:, columns]) / self.spans[columns]
         answers = self.residuals(np.vstack([refit.values, points]))
         return jacobian(answers[0], answers[1:], steps)
+
+
+class Race:
+    """Which descents are given up after each round: from the first rounds on, those that are far behind.
+
+    Args:
+        best: cost to compare with, besides the lowest of the descents.
+    """
+
+    def __init__(self, best: float) -> None:
+        self.best, self.rounds = best, 0
+
+    def __call__(self, cost: Array) -> NDArray[np.bool_]:
+        self.rounds += 1
+        return np.asarray((self.rounds >= FIRST_ROUNDS) & (cost > HOPELESS * min(self.best, float(cost.min()))))
 
 
 def directions(changes: Array) -> Array:

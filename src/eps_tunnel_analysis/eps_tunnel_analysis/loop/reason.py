@@ -16,7 +16,7 @@ from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.inputs import Reading, Recorded, load_recorded
 from eps_tunnel_analysis.law.proposal import Proposal, confirmed, proposal_of
 from eps_tunnel_analysis.outputs import new_folder, refuse_existing, refuse_files
-from eps_tunnel_analysis.report.reports import Findings, model_provenance, write_diagnosis
+from eps_tunnel_analysis.report.reports import Findings, model_provenance, was_fitted, write_diagnosis
 from labyrinth_sim.model import Model, save_model
 from labyrinth_sim.shown import shown
 
@@ -32,6 +32,7 @@ class DiagnosisOptions:
         effects: folder with effect files of the user's own.
         known: what was set differently in some bags, as PATTERN:NAME=VALUE.
         held_out: bags that are never fitted, only judged.
+        exhaustive: without the search's shortcuts.
     """
 
     candidates: tuple[str, ...] | None = None
@@ -42,6 +43,7 @@ class DiagnosisOptions:
     effects: Path | None = None
     known: tuple[str, ...] = ()
     held_out: tuple[Path, ...] = ()
+    exhaustive: bool = False
 
     def recorded(self, model: str | Path | Model, real: Sequence[Path]) -> Recorded:
         """A model, or its name or file, and the plays in bags. Raises InputError: everything wrong with either."""
@@ -124,6 +126,7 @@ def diagnose_recorded(
     diagnosis = diagnose(
         within(recorded.model, run.limit) if run.limit else recorded.model, recorded.plays, options.seed,
         options.candidates, options.threads, run.progress, levels=run.levels, held=recorded.held, spread=run.spread,
+        exhaustive=options.exhaustive, fitted=was_fitted(recorded),
     )  # fmt: skip
     proposal = proposal_of(diagnosis, recorded.plays, options.threads, options.seed) if run.propose else None
     if proposal and recorded.held:

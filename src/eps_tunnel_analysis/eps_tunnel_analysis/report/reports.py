@@ -233,6 +233,15 @@ def model_provenance(recorded: Recorded, effects: Sequence[str], errors: Three) 
     }
 
 
+def was_fitted(recorded: Recorded) -> bool:
+    """Whether the model comes from a diagnosis of these very recordings, so that its values were fitted to them."""
+    provenance = recorded.model.provenance
+    if "held_out_as_given" not in provenance:  # a calibration searches elsewhere
+        return False
+    digests = {str(bag).split()[-1] for bag in provenance.get("bags", ())}
+    return digests == {digest[:12] for _, digest in recorded.bags}
+
+
 def better_model(diagnosis: Diagnosis, recorded: Recorded) -> Model:
     """The model with the named effects; if none is named, the given model with its values refitted."""
     v = diagnosis.verdict
