@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from eps_tunnel_analysis.fit import lockstep
-from eps_tunnel_analysis.fit.lockstep import descend
+from eps_tunnel_analysis.fit.lockstep import Race, descend
 
 TIME = np.linspace(0.0, 2.0, 300)
 
@@ -149,3 +149,12 @@ def test_a_slope_that_is_rough_close_by_is_taken_from_further_away(monkeypatch: 
     seen = end()
     monkeypatch.setattr(lockstep, "WIDER", 1.0)
     assert seen < 1.0 and end() > 2.0 * seen
+
+
+def test_a_descent_far_behind_the_others_or_what_is_known_is_given_up_after_the_first_rounds() -> None:
+    costs = np.array([2.0, 3.3, 6.3])
+    race, known = Race(2, 3.0), Race(2, 3.0, 1.0)
+    assert not race(costs).any()
+    assert not known(costs).any()
+    assert list(race(costs)) == [False, False, True]
+    assert list(known(costs)) == [False, True, True]

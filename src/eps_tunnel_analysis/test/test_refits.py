@@ -31,7 +31,7 @@ from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
-from eps_tunnel_analysis.diagnose.search import FIRST_ROUNDS, HOPELESS, STEPS_LONGER, Race, Search
+from eps_tunnel_analysis.diagnose.search import STEPS_LONGER, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import command_response
 from eps_tunnel_analysis.simulated import Play
@@ -74,16 +74,6 @@ def test_the_order_of_the_trials_does_not_matter(recorded: list[Play]) -> None:
     assert other.mean == pytest.approx(one.mean, abs=1e-12)
     assert other.floor == pytest.approx(one.floor, rel=1e-9)
     assert misfit(other) == pytest.approx(misfit(one), rel=1e-6)
-
-
-def test_a_descent_far_behind_is_given_up_after_the_first_rounds() -> None:
-    costs = np.array([2.0, 1.1 * HOPELESS, 2.1 * HOPELESS])
-    race = Race(np.inf)
-    for _ in range(FIRST_ROUNDS - 1):
-        assert not race(costs).any()
-    assert list(race(costs)) == [False, False, True]
-    known = Race(1.0)
-    assert [list(known(costs)) for _ in range(FIRST_ROUNDS)][-1] == [False, True, True]
 
 
 def test_what_is_derived_from_evidence_rolls_out_as_widely_as_it_does(recorded: list[Play]) -> None:

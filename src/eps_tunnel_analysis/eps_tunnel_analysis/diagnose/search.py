@@ -19,7 +19,7 @@ from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, with_residuals
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import jacobian, steps_within
-from eps_tunnel_analysis.fit.lockstep import descend
+from eps_tunnel_analysis.fit.lockstep import Race, descend
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.friction import SLOW
 from labyrinth_sim.trials import Array
@@ -338,7 +338,9 @@ class Search:
         size = len(self.used)
         z0 = (np.array([start for _, start in jobs]) - self.low) / self.spans
         cheaper = partial(scaled, level="coarse") if level != "coarse" else None
-        hopeless = None if race is None or self.exhaustive else Race(race * size / (size + len(stated)))
+        hopeless = None
+        if race is not None and not self.exhaustive:
+            hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + len(stated)))
         result = descend(scaled, z0, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
                          width=width)  # fmt: skip
         values = np.clip(self.low + result.z * self.spans, self.low, self.high)
@@ -589,21 +591,6 @@ class Search:
         steps = np.diagonal((points - refit.values)[:, columns]) / self.spans[columns]
         answers = self.residuals(np.vstack([refit.values, points]))
         return jacobian(answers[0], answers[1:], steps)
-
-
-class Race:
-    """Which descents are given up after each round: from the first rounds on, those that are far behind.
-
-    Args:
-        best: cost to compare with, besides the lowest of the descents.
-    """
-
-    def __init__(self, best: float) -> None:
-        self.best, self.rounds = best, 0
-
-    def __call__(self, cost: Array) -> NDArray[np.bool_]:
-        self.rounds += 1
-        return np.asarray((self.rounds >= FIRST_ROUNDS) & (cost > HOPELESS * min(self.best, float(cost.min()))))
 
 
 def directions(changes: Array) -> Array:

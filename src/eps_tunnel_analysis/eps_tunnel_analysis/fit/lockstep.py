@@ -156,6 +156,25 @@ def descend(
     return Descent(z, cost, at, converged, steps / wide[:, None], evaluations)
 
 
+class Race:
+    """Which descents are given up after each round.
+
+    Args:
+        first: rounds that all of them make.
+        reach: times the lowest cost above which one is given up.
+        best: cost that was reached before; it counts as the lowest if it is.
+    """
+
+    def __init__(self, first: int, reach: float, best: float = np.inf) -> None:
+        self.first, self.reach, self.best = first, reach, best
+        self.rounds = 0
+
+    def __call__(self, cost: Array) -> NDArray[np.bool_]:
+        """(B,) whether each of the problems with costs (B,) after one more round is hopeless."""
+        self.rounds += 1
+        return np.asarray((self.rounds >= self.first) & (cost > self.reach * min(self.best, float(cost.min()))))
+
+
 def _cost(residuals: Array) -> Array:
     with np.errstate(over="ignore"):
         mean = np.mean(residuals**2, axis=1)
