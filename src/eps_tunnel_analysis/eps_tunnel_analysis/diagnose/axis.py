@@ -519,7 +519,8 @@ def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> 
     columns = search.fitted(refit)
     span = search.spans[columns]
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
-    predicted = left_out(search.jacobian(refit), refit.residuals, search.folds, room, search.firmness[columns])
+    predicted = left_out(search.jacobian(refit), refit.residuals, search.folds, room,
+                         search.firmness_at(refit.values)[columns])  # fmt: skip
     return Hypothesis(
         refit, predicted, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values)
     )

@@ -116,7 +116,7 @@ def _half_widths(search: Search, refit: Refit, columns: Sequence[int]) -> Array:
     """
     if not columns:
         return np.zeros(0)
-    slopes, firm = search.jacobian(refit), search.firmness[list(columns)]
+    slopes, firm = search.jacobian(refit), search.firmness_at(refit.values)[list(columns)]
     if not np.isfinite(slopes).all():
         return np.full(len(columns), np.nan)
     blocks = search.blocks.astype(float)

@@ -44,7 +44,7 @@ class Hypothesis:
         refit: on all samples.
         left_out: (R,) residuals of each sample by values fitted to the other stretches, in units of the noise floor.
         contains: sets of effects that it can imitate, in addition to its own subsets.
-        strain: how far its values are from what is stated, as a sum of squares in units of what is expected of each.
+        strain: how unlikely its values are beside what is stated: minus twice the logarithm of their likelihood.
         inexact: share of the base's misfit explained by those of its effects that occur in several forms.
     """
 

@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_rough, loosely_known, starts
 from eps_tunnel_analysis.diagnose.evidence import Evidence
+from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, with_residuals
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.fit.differences import jacobian, steps_within
+from eps_tunnel_analysis.diagnose.stated import residual_of, strain_of, weight_of
+from eps_tunnel_analysis.fit.differences import directions, jacobian, steps_within
 from eps_tunnel_analysis.fit.lockstep import Race, descend
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.friction import SLOW
@@ -123,9 +125,16 @@ class Search:
         return seen + self._shift if level == "coarse" else seen
 
     def strain(self, values: Array) -> float:
-        """How far values (K,) are from what is stated, as a sum of squares in units of what is expected of each."""
-        off = self.firmness * (values - self.start) / self.spans
-        return float(np.sum(off**2)) / SETTINGS.correlated
+        """How unlikely values (K,) are beside what is stated: minus twice the logarithm of their likelihood."""
+        return float(np.sum(strain_of(self._off(values))))
+
+    def firmness_at(self, values: Array) -> Array:
+        """(K,) how firmly values (K,) are held where they are; less firmly far from what is stated."""
+        return np.asarray(self.firmness * np.sqrt(weight_of(self._off(values))))
+
+    def _off(self, values: Array) -> Array:
+        """How far values (..., K) are from what is stated, in units of what is expected of each."""
+        return np.asarray(self.firmness * (values - self.start) / self.spans / np.sqrt(SETTINGS.correlated))
 
     def held_at(self, values: Array) -> float:
         """What being far from what is stated adds to the cost of values (K,)."""
@@ -240,20 +249,15 @@ class Search:
             finer = self.levels["exact"].finer()
             there = finer(values[None])[0, self.used] / self.scale
             self.evaluations += 1
-            remaining, changed = self._worst(here), float(np.mean((there - here) ** 2))
+            remaining, changed = worst_floors(here, self.signal), float(np.mean((there - here) ** 2))
             if finer.extrapolate:  # contacts and ticks change what is left by chance
-                changed = max(changed, abs(self._worst(there) - remaining))
+                changed = max(changed, abs(worst_floors(there, self.signal) - remaining))
             if changed <= max(STANDS, SETTINGS.form * remaining):
                 break
             self.levels["exact"], here, shorter = finer, there, True
         while self.levels["fine"].shortest > STEPS_LONGER * self.levels["exact"].shortest:
             self.levels["fine"] = self.levels["fine"].finer()
         return shorter
-
-    def _worst(self, residuals: Array) -> float:
-        """Floors that residuals (R,) leave of the worst signal."""
-        sums = np.bincount(self.signal, residuals**2) / np.maximum(np.bincount(self.signal), 1)
-        return float(sums.max())
 
     def over(self, library: Library) -> "Search":
         """A search over other candidates on top of the same base values, with the same samples, floor and steps."""
@@ -331,17 +335,17 @@ class Search:
         width = (self.high - self.low) / self.spans
 
         def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
-            seen = self.residuals(np.clip(self.low + z * self.spans, self.low, self.high), level) + more[owners]
-            return np.concatenate([seen, self.firmness * (z - stated)], axis=1)
+            values = np.clip(self.low + z * self.spans, self.low, self.high)
+            expected = np.sqrt(SETTINGS.correlated) * residual_of(self._off(values))
+            return np.concatenate([self.residuals(values, level) + more[owners], expected], axis=1)
 
-        stated = (self.start - self.low) / self.spans
         size = len(self.used)
-        z0 = (np.array([start for _, start in jobs]) - self.low) / self.spans
+        begun = (np.array([start for _, start in jobs]) - self.low) / self.spans
         cheaper = partial(scaled, level="coarse") if level != "coarse" else None
         hopeless = None
         if race is not None and not self.exhaustive:
-            hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + len(stated)))
-        result = descend(scaled, z0, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
+            hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + len(self.start)))
+        result = descend(scaled, begun, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
                          width=width)  # fmt: skip
         values = np.clip(self.low + result.z * self.spans, self.low, self.high)
         return [
@@ -364,8 +368,8 @@ class Search:
         redone = self.refit([job for job, bad in zip(jobs, rough, strict=True) if bad], FIRST_ROUNDS, "fine")
         early = best_by_set([*redone, *(r for r, bad in zip(begun, rough, strict=True) if not bad)])
         lowest = early[0].cost if early else np.inf
-        certain = SHORTLIST if min(lowest, known) > SETTINGS.healthy else LEAST_JUDGED
-        certain = len(early) if self.exhaustive else certain
+        few = SHORTLIST if min(lowest, known) > SETTINGS.healthy else LEAST_JUDGED
+        certain = len(early) if self.exhaustive else few
         reach = HOPELESS * min(lowest, max(known, 1.0))
         going = [r for i, r in enumerate(early) if not r.converged and (i < certain or r.cost < reach)]
         finer = {id(r) for r in redone}
@@ -573,7 +577,7 @@ class Search:
     def _held(self, refit: Refit) -> Array:
         """(k, k) how firmly each value that `moved` moves is held, per move."""
         columns = self.fitted(refit)
-        return np.diag((self.firmness * self._steps(refit))[columns])
+        return np.diag((self.firmness_at(refit.values) * self._steps(refit))[columns])
 
     def _steps(self, refit: Refit) -> Array:
         """(K,) finite differences, normalised."""
@@ -591,9 +595,3 @@ class Search:
         steps = np.diagonal((points - refit.values)[:, columns]) / self.spans[columns]
         answers = self.residuals(np.vstack([refit.values, points]))
         return jacobian(answers[0], answers[1:], steps)
-
-
-def directions(changes: Array) -> Array:
-    """(R, <= k) orthonormal: the directions in which changes (R, k) move residuals."""
-    vectors, sizes, _ = np.linalg.svd(changes, full_matrices=False)
-    return np.asarray(vectors[:, sizes > 1e-6 * max(sizes.max(initial=0.0), 1e-300)])

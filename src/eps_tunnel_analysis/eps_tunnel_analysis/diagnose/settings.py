@@ -20,10 +20,12 @@ class DiagnosisSettings:
     loose: share of a stated value within which those free values are expected whose order of magnitude a data sheet
         gives (standard deviation). Chosen: twice the difference between two windings of the same servo.
     farthest: of these deviations, how many a value that is known roughly may be off. Derived: 95 % of a Gaussian.
-    strained: sum of squared deviations from what is stated, above which a base counts as deviating. Derived: one
-        value that is off by one deviation.
+    strained: minus twice the log-likelihood of the base values beside what is stated, above which a base counts as
+        deviating. Derived: one value that is off by one deviation.
     unfelt: floors; a value that is known roughly and moves the recordings by less stays as stated. Chosen: a hundredth
         of what is visible.
+    tails: degrees of freedom of Student's t distribution of stated values about the true ones. Chosen: 4, after Lange
+        et al. (1989); in the tails lie values that are stated wrongly, such as the inertia of another rotor.
     correlated: how many correlated residuals of a motion are worth one independent sample, when they are weighed
         against that expectation. Measured: 10 to 30 on tuning rigs.
     healthy: floors of the worst signal; above this something is missing if an effect explains it, and above two
@@ -89,6 +91,7 @@ class DiagnosisSettings:
     farthest: float = 2.0
     strained: float = 1.0
     unfelt: float = 0.02
+    tails: float = 4.0
     correlated: float = 20.0
     healthy: float = 1.6
     unrepeated: float = 2.0

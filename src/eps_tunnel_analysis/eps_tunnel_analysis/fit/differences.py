@@ -38,3 +38,9 @@ def moved(
 def jacobian(at: Array, answers: Array, steps: Array) -> Array:
     """(R, k) from residuals (R,) and those of moved points (k, R) at steps (k,); 0 where a roll-out diverged."""
     return np.asarray(np.nan_to_num((answers - at) / steps[:, None]).T)
+
+
+def directions(changes: Array) -> Array:
+    """(R, <= k) orthonormal: the directions in which changes (R, k) move residuals."""
+    vectors, sizes, _ = np.linalg.svd(changes, full_matrices=False)
+    return np.asarray(vectors[:, sizes > 1e-6 * max(sizes.max(initial=0.0), 1e-300)])
