@@ -66,6 +66,7 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
         "pair_undecided": rate(pairs, is_undecided),
         "pair_both_of_all": rate(every_pair, is_right),
         "calibration_error": calibration(records),
+        "calibration_error_by_chance": calibration_by_chance(records),
         "stated_above_95_wrong": rate(sure, lambda r: not is_true(r, likeliest(r)[0])),
         "log_score": mean([log_score(r) for r in records if r["set"]]),
         "drop_vs_true_form": median([drop for r in records if (drop := drop_vs_true_form(r)) is not None]),
@@ -188,13 +189,35 @@ def median(values: Sequence[float]) -> Figure:
 
 def calibration(records: Sequence[Record]) -> Figure:
     """Expected calibration error of the likeliest hypothesis, with a bootstrap's interval."""
-    pairs = np.array([(p, is_true(r, name)) for r in records if r["set"] for name, p in [likeliest(r)]], dtype=float)
+    pairs = _stated(records)
     if not len(pairs):
         return Figure(None, 0, None)
     rng = np.random.default_rng(0)
     drawn = [_calibration_error(pairs[rng.integers(len(pairs), size=len(pairs))]) for _ in range(RESAMPLES)]
     low, high = np.percentile(drawn, [2.5, 97.5])
     return Figure(_calibration_error(pairs), len(pairs), (float(low), float(high)))
+
+
+def calibration_by_chance(records: Sequence[Record]) -> Figure:
+    """What `calibration` would be for as many cases if every probability were exactly right: its mean, and where 95 % of
+    the draws lie. It is 0 only for endlessly many cases.
+    """
+    pairs = _stated(records)
+    if not len(pairs):
+        return Figure(None, 0, None)
+    rng = np.random.default_rng(0)
+    chances = pairs[:, 0]
+    drawn = [
+        _calibration_error(np.column_stack([chances, rng.random(len(chances)) < chances])) for _ in range(RESAMPLES)
+    ]
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return Figure(float(np.mean(drawn)), len(pairs), (float(low), float(high)))
+
+
+def _stated(records: Sequence[Record]) -> np.ndarray:
+    """(n, 2) probability of the likeliest hypothesis of each case, and whether it is true."""
+    said = [(p, is_true(r, name)) for r in records if r["set"] for name, p in [likeliest(r)]]
+    return np.array(said, dtype=float).reshape(-1, 2)
 
 
 def _calibration_error(pairs: np.ndarray) -> float:

@@ -50,13 +50,14 @@ KEYS = {  # key: what it means, and the bar
     "unknown_found_left_out": ("left out of the library", ""),
     "pair_both": ("both of a pair named, and nothing else", "≥ 0.75"),
     "calibration_error": ("expected calibration error of the likeliest hypothesis", "≤ 0.05"),
+    "calibration_error_by_chance": ("the same in the mean if every probability were exactly right", ""),
     "stated_above_95_wrong": ("wrong, of what was given more than 95 %", "≤ 0.05"),
     "drop_vs_true_form": ("fall of the held-out error over that of the true form fitted on its own, median", "≥ 0.9"),
     "log_score": ("mean logarithm of the probability given to what is true", ""),
     "failed": ("ended with an error", "0"),
     "median_seconds": ("one diagnosis, s, median", ""),
 }
-OF_PROBABILITIES = ("calibration_error", "stated_above_95_wrong", "log_score")
+OF_PROBABILITIES = ("calibration_error", "calibration_error_by_chance", "stated_above_95_wrong", "log_score")
 BANDS = ((3.0, 10.0), (10.0, float("inf")))  # of visibility, times the floor
 
 

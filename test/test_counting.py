@@ -9,7 +9,18 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-from counting import calibration, drop_vs_true_form, figures, flat, is_true, log_score, median, reliability, wilson
+from counting import (
+    calibration,
+    calibration_by_chance,
+    drop_vs_true_form,
+    figures,
+    flat,
+    is_true,
+    log_score,
+    median,
+    reliability,
+    wilson,
+)
 
 
 def case(kind, truth, verdict, hypotheses, stated=(), effects=(), visibility=10.0, **more):
@@ -138,6 +149,13 @@ def test_calibration_of_what_is_sure_and_of_what_nobody_sees():
     seen = dict(unseen, visibility=2.0)
     assert calibration([unseen]).value == pytest.approx(0.1)
     assert calibration([seen]).value == pytest.approx(0.9)
+
+
+def test_few_cases_have_a_calibration_error_though_every_probability_is_right() -> None:
+    few, many = ([named("a.x", "a.x", p=0.8)] * n for n in (10, 1000))
+    assert 0.06 < calibration_by_chance(few).value < 0.14  # .1 in the mean for 10 draws of .8
+    assert calibration_by_chance(many).value < 0.02
+    assert calibration_by_chance([]).value is None
 
 
 def test_what_is_visible_of_a_pair_is_true():
