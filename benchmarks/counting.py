@@ -199,8 +199,8 @@ def calibration(records: Sequence[Record]) -> Figure:
 
 
 def calibration_by_chance(records: Sequence[Record]) -> Figure:
-    """What `calibration` would be for as many cases if every probability were exactly right: its mean, and where 95 % of
-    the draws lie. It is 0 only for endlessly many cases.
+    """What `calibration` would be for as many cases if every probability were exactly right: its mean, and where 95 %
+    of the draws lie. It is 0 only for endlessly many cases.
     """
     pairs = _stated(records)
     if not len(pairs):

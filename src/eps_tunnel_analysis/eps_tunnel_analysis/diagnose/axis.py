@@ -18,6 +18,7 @@ from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, OUT_OF_REACH, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import tick_points
+from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
@@ -521,9 +522,22 @@ def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> 
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
     predicted = left_out(search.jacobian(refit), refit.residuals, search.folds, room,
                          search.firmness_at(refit.values)[columns])  # fmt: skip
+    unused = _unused(search, refit)
     return Hypothesis(
-        refit, predicted, tuple(frozenset(other.effects) for other in contains), search.strain(refit.values)
+        refit, predicted, tuple(frozenset(o.effects) for o in contains), search.strain(refit.values), unused=unused
     )
+
+
+def _unused(search: Search, refit: Refit) -> int:
+    """How many values of a refit's effects lie at a bound, and so are no longer free: a friction that sets in at once,
+    a spring that does not harden. Of each effect one value counts in any case.
+    """
+    total = 0
+    for candidate in search.library.of(refit.effects):
+        columns = search.columns(candidate)
+        room = np.minimum(refit.values - search.low, search.high - refit.values)[columns]
+        total += min(int(np.sum(room < AT_BOUND * search.spans[columns])), len(columns) - 1)
+    return total
 
 
 def floor_known(plays: Sequence[Play]) -> bool:

@@ -46,6 +46,7 @@ class Hypothesis:
         contains: sets of effects that it can imitate, in addition to its own subsets.
         strain: how unlikely its values are beside what is stated: minus twice the logarithm of their likelihood.
         inexact: share of the base's misfit explained by those of its effects that occur in several forms.
+        unused: how many of its effects' values lie at a bound, and so are not free.
     """
 
     refit: Refit
@@ -53,6 +54,12 @@ class Hypothesis:
     contains: tuple[frozenset[str], ...] = ()
     strain: float = 0.0
     inexact: float = 1.0
+    unused: int = 0
+
+    @property
+    def used(self) -> int:
+        """How many fitted values shape its predictions."""
+        return self.refit.free - self.unused
 
     @property
     def cost(self) -> float:
@@ -332,7 +339,7 @@ def _probabilities(
     scores = _no_better_than_complete(hypotheses, scores, costs[:, 1:], remaining, worth, unit)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
-    scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses])
+    scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.used - bare.used, 0) for h in hypotheses])
     needed = _needed(hypotheses, base, remaining, beyond_noise, kept, unit)
     scores += np.log(np.maximum(needed, 1e-300))
     # A value far from the stated one counts as evidence like a misfit.

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A value of an effect that lies at a bound is not free, and does not count as one more."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fit_cases import TRUTH, plays, start
+
+from eps_tunnel_analysis.diagnose.axis import hypothesis
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.rank import Hypothesis, rank
+from eps_tunnel_analysis.diagnose.refits import Refit
+
+SAMPLES, FOLDS = 1200, 16
+
+
+@pytest.mark.parametrize(("slow", "unused"), [(0.0, 1), (0.05, 0)])
+def test_friction_that_sets_in_at_once_has_one_value_less(slow: float, unused: int) -> None:
+    recorded = plays((3.0, -2.0), TRUTH)
+    model = start().with_values(TRUTH)
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
+    search = axis_search(model, recorded, part, SearchOptions(("coulomb_friction",), 1))
+    values = search.start.copy()
+    values[search.columns(search.library.find("coulomb_friction.x"))] = (0.2, slow)
+    bare = Refit((), search.start, np.ones(len(search.used)), 1.0, 5, True)
+    found = hypothesis(search, search.at(values, replace(bare, effects=("coulomb_friction.x",), free=7)))
+    assert (found.unused, found.used) == (unused, 7 - unused)
+    off = replace(found.refit, values=search.start)  # an effect that is switched off still counts as one value
+    assert hypothesis(search, off).used == 6
+
+
+def test_of_two_forms_that_fit_alike_the_one_with_fewer_free_values_is_likelier() -> None:
+    noise = np.random.default_rng(0).standard_normal(SAMPLES)
+
+    def one(effects: tuple[str, ...], size: float, free: int, unused: int = 0) -> Hypothesis:
+        residuals = size * noise
+        refit = Refit(effects, np.zeros(1), residuals, float(np.mean(residuals**2)), free, True)
+        contains = (frozenset({"simple.x"}),) if effects == ("general.x",) else ()
+        return Hypothesis(refit, residuals, contains, unused=unused)
+
+    def simple_of(unused: int) -> float:
+        both = [one(("simple.x",), 1.0, 7, unused), one(("general.x",), 1.0, 7)]
+        folds = np.arange(SAMPLES) * FOLDS // SAMPLES
+        return rank(one((), 10.0, 5), both, folds, np.zeros(SAMPLES, np.int64), tried=10).probabilities["simple.x"]
+
+    assert simple_of(0) == pytest.approx(0.5, abs=0.02)
+    assert simple_of(1) > 0.9
