@@ -28,6 +28,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_rivals": "a rival that fits as well calls for a further effect",
     "diagnosis_again": "sets start again after the steps were refined",
     "diagnosis_forms": "friction of bearings, uneven sensors of drives; general forms that leave noise",
+    "diagnosis_stated": "stated values may be simply wrong",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
