@@ -57,11 +57,6 @@ class Hypothesis:
     unused: int = 0
 
     @property
-    def used(self) -> int:
-        """How many fitted values shape its predictions."""
-        return self.refit.free - self.unused
-
-    @property
     def cost(self) -> float:
         """Floors that it leaves on samples that it was not fitted to."""
         return float(np.mean(self.left_out**2))
@@ -339,7 +334,8 @@ def _probabilities(
     scores = _no_better_than_complete(hypotheses, scores, costs[:, 1:], remaining, worth, unit)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
-    scores -= 0.5 * np.log(max(worth, 1.0)) * np.array([max(h.used - bare.used, 0) for h in hypotheses])
+    values = np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses]) + _beyond_simpler(hypotheses)
+    scores -= 0.5 * np.log(max(worth, 1.0)) * values
     needed = _needed(hypotheses, base, remaining, beyond_noise, kept, unit)
     scores += np.log(np.maximum(needed, 1e-300))
     # A value far from the stated one counts as evidence like a misfit.
@@ -420,6 +416,14 @@ def _no_better_than_simpler(
         alike = np.minimum(scores[:, i], scores[:, j])
         capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
     return capped
+
+
+def _beyond_simpler(hypotheses: Sequence[Hypothesis]) -> NDArray[np.int64]:
+    """(h,) how many values more each general form uses than a simple one has at a bound, where these are not free."""
+    beyond = np.zeros(len(hypotheses), dtype=np.int64)
+    for i, j in _forms(hypotheses):
+        beyond[i] = max(beyond[i], hypotheses[j].unused - hypotheses[i].unused)
+    return beyond
 
 
 def _no_better_than_complete(
