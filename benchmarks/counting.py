@@ -222,23 +222,26 @@ def _stated(records: Sequence[Record]) -> np.ndarray:
 
 def _calibration_error(pairs: np.ndarray) -> float:
     error = 0.0
-    for low, high in itertools.pairwise(LEVELS):
-        inside = pairs[(pairs[:, 0] >= low) & (pairs[:, 0] < high)]
+    for _, _, inside in _by_level(pairs):
         if len(inside):
             error += len(inside) * abs(float(inside[:, 1].mean() - inside[:, 0].mean()))
     return error / len(pairs)
 
 
+def _by_level(pairs: np.ndarray) -> Iterator[tuple[float, float, np.ndarray]]:
+    """Both ends of each level of probability, and those of `_stated` pairs that lie in it."""
+    for low, high in itertools.pairwise(LEVELS):
+        yield low, high, pairs[(pairs[:, 0] >= low) & (pairs[:, 0] < high)]
+
+
 def reliability(records: Sequence[Record]) -> list[dict[str, Any]]:
     """How often the likeliest hypothesis was true, by the probability it was given."""
-    stated = [(p, is_true(r, name)) for r in records if r["set"] for name, p in [likeliest(r)]]
     rows = []
-    for low, high in itertools.pairwise(LEVELS):
-        inside = [(p, true) for p, true in stated if low <= p < high]
-        if inside:
-            count = sum(true for _, true in inside)
+    for low, high, inside in _by_level(_stated(records)):
+        if len(inside):
+            count = int(inside[:, 1].sum())
             rows.append({
-                "from": low, "to": min(high, 1.0), "n": len(inside), "stated": float(np.mean([p for p, _ in inside])),
+                "from": low, "to": min(high, 1.0), "n": len(inside), "stated": float(inside[:, 0].mean()),
                 "true": count / len(inside), "interval": list(wilson(count, len(inside))),
             })  # fmt: skip
     return rows

@@ -191,11 +191,9 @@ def _doubts(axis: AxisDiagnosis, names: Collection[str], fitted: Mapping[str, fl
     refit = axis.acting(names)
     columns = np.array(search.fitted(refit), dtype=int)
     values = np.array([fitted[search.library.names[i]] for i in columns])
-    low, high = search.low[columns], search.high[columns]
-    close = AT_BOUND * search.spans[columns]
-    near = np.minimum(values - low, high - values) < close
+    near = search.at_bound(values, columns)
     # A drive's value that stays as stated is not worth a message; an effect's that stays switched off is.
-    kept = np.abs(values - search.start[columns]) < close
+    kept = np.abs(values - search.start[columns]) < AT_BOUND * search.spans[columns]
     near &= ~kept | (columns >= len(search.library.base))
     sentences = [
         f"{search.library.names[i]} lies at its bound, {value:.4g}: the truth may lie beyond, or it stands "

@@ -18,7 +18,6 @@ from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, OUT_OF_REACH, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import tick_points
-from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
@@ -535,8 +534,7 @@ def _unused(search: Search, refit: Refit) -> int:
     total = 0
     for candidate in search.library.of(refit.effects):
         columns = search.columns(candidate)
-        room = np.minimum(refit.values - search.low, search.high - refit.values)[columns]
-        total += min(int(np.sum(room < AT_BOUND * search.spans[columns])), len(columns) - 1)
+        total += min(int(search.at_bound(refit.values[columns], columns).sum()), len(columns) - 1)
     return total
 
 

@@ -76,7 +76,6 @@ class Search:
         difference: float = DIFFERENCE,
         exhaustive: bool = False,
     ) -> None:
-        self.exhaustive = exhaustive
         self.library, self.levels, self.used = library, dict(levels), used
         self.evidence = levels["coarse"]
         infos = library.model.parameters()
@@ -87,7 +86,7 @@ class Search:
         self.signal = self.blocks % len(self.evidence.signals)
         self.scale = self._noise = scale[used]
         self.evaluations = 0
-        self.progress = progress
+        self.progress, self.exhaustive = progress, exhaustive
         self._shift = np.zeros(len(used))  # error of the coarse step, near where the search is
         self._column = {name: i for i, name in enumerate(library.names)}
         #: (K,) large changes of the values, of which the search moves them by shares
@@ -571,8 +570,12 @@ class Search:
     def _pressed(self, refit: Refit, changes: Array) -> NDArray[np.bool_]:
         """(k,) which of the values that `moved` moves lie at a bound, and would make up for more beyond it."""
         columns = self.fitted(refit)
-        room = np.minimum(refit.values - self.low, self.high - refit.values)[columns]
-        return (room < AT_BOUND * self.spans[columns]) & (changes.T @ refit.residuals > 0.0)
+        return self.at_bound(refit.values[columns], columns) & (changes.T @ refit.residuals > 0.0)
+
+    def at_bound(self, values: Array, columns: Sequence[int] | NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(k,) which of the values (k,) of these columns lie at a bound."""
+        room = np.minimum(values - self.low[columns], self.high[columns] - values)
+        return np.asarray(room < AT_BOUND * self.spans[columns])
 
     def _held(self, refit: Refit) -> Array:
         """(k, k) how firmly each value that `moved` moves is held, per move."""
