@@ -90,6 +90,24 @@ def test_a_diverged_neighbourhood_does_not_poison_the_rest() -> None:
     assert not found.converged[1]
 
 
+def test_of_problems_that_meet_only_the_best_goes_on() -> None:
+    starts = np.array([[0.6, 0.4, 0.5], [0.1, 0.9, 0.1], [0.1, 0.9, 0.1]])
+    free = np.array([[True, True, True], [True, True, True], [True, True, False]])
+    rows: list[int] = []
+
+    def counted(z, owners):
+        rows.extend(owners.tolist())
+        return 30.0 * residuals(z, owners)
+
+    apart = descend(counted, starts, free, rounds=30, tolerance=1e-12)
+    alone = [rows.count(b) for b in range(3)]
+    rows.clear()
+    met = descend(counted, starts, free, rounds=30, tolerance=1e-12, near=0.1)
+    assert met.cost.min() == apart.cost.min() < 1e-12
+    assert sorted(rows.count(b) < alone[b] for b in range(2)) == [False, True]
+    assert rows.count(2) == alone[2]  # it moves other values, so it is another model
+
+
 def test_hopeless_problems_are_stopped_early() -> None:
     starts = np.vstack([np.full(3, 0.6), np.full(3, 0.1)])
     asked = []

@@ -75,7 +75,7 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
     (stated,) = firm.refit([((), start)], ROUNDS)
     quick = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
     tried = firm.trial_points([stated], quick)
-    refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS))
+    refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS, race=np.inf))
     search.evaluations = firm.evaluations
     return [(search.library.of(r.effects), r.values) for r in refits[:STATED_KEPT]]
 
@@ -104,14 +104,15 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
 
 
 def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
-    """The refits, the best of them descended again from other base values: their own may lie in a wrong valley.
+    """The refits, the best of them descended again from other base values, unless it leaves only noise: their own may
+    lie in a wrong valley.
 
     A refit close to the best may be confused with it, so it starts again from the best one's base values: whatever is
     missing, the drive is the same.
     """
     size = len(search.library.base)
     jobs: list[Job] = []
-    for refit in refits[:REBASED] if size else ():
+    for refit in (r for r in refits[:REBASED] if size and leaves_something(search, r)):
         points = base_starts(search, refit.values, REBASE_STARTS)[1:] + search.beside_stated([refit], ROUNDS)
         jobs += [(search.library.of(refit.effects), point) for point in points]
     again = best_by_set([*refits, *(search.best_of(jobs, ROUNDS) if jobs else [])])
@@ -119,6 +120,11 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     beside = [np.concatenate([again[0].values[:size], r.values[size:]]) for r in near]
     named = [search.library.of(r.effects) for r in near]
     return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
+
+
+def leaves_something(search: Search, refit: Refit) -> bool:
+    """Whether a refit leaves more than noise, so that another valley may fit better."""
+    return search.exhaustive or worst_floors(refit.residuals, search.signal) > SETTINGS.close * SETTINGS.healthy
 
 
 def begun(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
@@ -422,7 +428,7 @@ def refitted_sets(
 
 
 def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The base and the refits; the best of them judged again, with friction of the model that sets in gradually and
+    """The base and the refits; those near the best judged again, with friction of the model that sets in gradually and
     with shorter steps, if they need these.
 
     How long steps may be depends on what is left: while an effect is missing, the base needs no such accuracy.
@@ -431,7 +437,7 @@ def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     best = lowest([base, *refits])
     if not (search.levels["fine"].extrapolate and search.refine_at(best.values)):
         return base, list(refits)
-    near = [r for r in refits if r.cost < RUNNING * max(best.cost, 1.0)]
+    near = [r for r in refits if r.cost < NEAR_BEST * max(best.cost, 1.0)]
     jobs = [(search.library.of(r.effects), r.values) for r in (base, *near)]
     again = search.judged(jobs, ROUNDS)
     search.settle_at(again[0])

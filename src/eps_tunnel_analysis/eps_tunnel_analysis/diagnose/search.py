@@ -312,7 +312,7 @@ class Search:
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,
         rough: bool = True, tolerance: float = TOLERANCE, race: float | None = None,
     ) -> list[Refit]:  # fmt: skip
-        """Descends jobs side by side, all of them to the end unless they race.
+        """Descends jobs side by side, all of them to the end unless they race or meet.
 
         Args:
             jobs: the candidates to fit together with the base values, and (K,) values to start from.
@@ -345,7 +345,7 @@ class Search:
         if race is not None and not self.exhaustive:
             hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + len(self.start)))
         result = descend(scaled, begun, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
-                         width=width)  # fmt: skip
+                         width=width, near=None if self.exhaustive else STANDS)  # fmt: skip
         values = np.clip(self.low + result.z * self.spans, self.low, self.high)
         return [
             Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],

@@ -61,6 +61,7 @@ def descend(
     relative: bool = False,
     slopes: BatchResiduals | None = None,
     width: float | Array = 1.0,
+    near: float | None = None,
 ) -> Descent:
     """Descend every problem from its start.
 
@@ -78,6 +79,8 @@ def descend(
         relative: the response is a share of the root mean square that is left.
         slopes: a cheaper simulator, whose slopes replace the simulator's until a problem makes no progress with them.
         width: of the box, one for all values or (K,).
+        near: of two problems that move the same values and whose residuals differ by less than this in mean square, or
+            by less than its square of what the better one leaves, only that one goes on after a round. None for all.
     """
     z = np.array(starts, dtype=np.float64)
     count, size = z.shape
@@ -153,6 +156,8 @@ def descend(
                 stuck(int(b))
         if hopeless is not None:
             rest |= hopeless(cost)
+        if near is not None:
+            rest |= _met(at, cost, rest, free, near)
     return Descent(z, cost, at, converged, steps / wide[:, None], evaluations)
 
 
@@ -173,6 +178,20 @@ class Race:
         """(B,) whether each of the problems with costs (B,) after one more round is hopeless."""
         self.rounds += 1
         return np.asarray((self.rounds >= self.first) & (cost > self.reach * min(self.best, float(cost.min()))))
+
+
+def _met(at: Array, cost: Array, rest: NDArray[np.bool_], free: NDArray[np.bool_], near: float) -> NDArray[np.bool_]:
+    """(B,) which problems that do not `rest` (B,) have come to where a better one with the same free values is."""
+    met = np.zeros(len(cost), dtype=bool)
+    better: list[np.intp] = []
+    for b in np.argsort(cost, kind="stable"):
+        if not np.isfinite(cost[b]):
+            break
+        rivals = [] if rest[b] else [other for other in better if np.array_equal(free[b], free[other])]
+        met[b] = any(np.mean((at[b] - at[o]) ** 2) < near * max(1.0, near * cost[o]) for o in rivals)
+        if not met[b]:
+            better.append(b)
+    return met
 
 
 def _cost(residuals: Array) -> Array:
