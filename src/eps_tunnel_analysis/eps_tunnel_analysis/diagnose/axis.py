@@ -403,7 +403,8 @@ def refitted_sets(
         # An effect must not be named only because it led to a better start of the base.
         points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
         base = better_base(search, base, points, lowest([base, *refits]).cost)
-        refits = best_by_set([*refits, *rival_refits(search, lowest([base, *refits]), refits)])
+        replaced = [lowest([base, *refits])]  # whose rivals were tried
+        refits = best_by_set([*refits, *rival_refits(search, replaced[-1], refits)])
         base, refits = refined(search, base, refits)
         best = lowest([base, *refits])
         worth = _explains(base, best)
@@ -414,14 +415,23 @@ def refitted_sets(
             refits = best_by_set([*refits, *ticks])
             best = lowest([best, *ticks])
             worth = _explains(base, best)
-        while worth and 0 < len(best.effects) < most and lacking(best, refits):
-            beside = begun(search, base, refits) if len(best.effects) == 1 else []
-            more = next_refits(search, [best, *_runners_up(best, refits), *beside], PAIR_SHORTLIST)
-            more += rival_refits(search, lowest(more), [*refits, *more]) if more else []
+        for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
+            same = [r for r in refits if len(r.effects) == size]
+            if not (worth and same and lacking(best, refits)):
+                break
+            on = lowest(same)
+            beside = begun(search, base, refits) if size == 1 else []
+            more = next_refits(search, [on, *_runners_up(on, refits), *beside], PAIR_SHORTLIST)
+            if more:
+                replaced.append(lowest(more))
+                more += rival_refits(search, replaced[-1], [*refits, *more])
             refits = best_by_set([*refits, *more])
-            better = lowest([best, *more])
-            worth, best = _explains(best, better), better
+            best = lowest([best, *more])
+            worth = _explains(on, best)
         base, refits = nested_refits(search, base, refits)
+        best = lowest([base, *refits])
+        if best.effects and not any(set(best.effects) == set(other.effects) for other in replaced):
+            refits = best_by_set([*refits, *rival_refits(search, best, refits)])
         base, refits = refined(search, base, refits)
         base, refits = with_fewer_again(search, base, refits)
     return base, refits

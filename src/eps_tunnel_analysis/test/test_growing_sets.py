@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The order in which sets of effects are tried, with descents that are told beforehand what they find."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from fit_cases import TRUTH, plays, start
+
+from eps_tunnel_analysis.diagnose import axis as axis_module
+from eps_tunnel_analysis.diagnose.axis import refitted_sets
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.refits import Refit
+from eps_tunnel_analysis.diagnose.search import Search
+
+FRICTION, GAIN, TICK, WAVES = "direction_friction.x", "gain_error.x", "command_quantisation.x", "positioning_error.x"
+EFFECTS = tuple(name.partition(".")[0] for name in (FRICTION, GAIN, TICK, WAVES))
+
+Found = Callable[..., Refit]
+
+
+@pytest.fixture(scope="module")
+def search() -> Search:
+    model, recorded = start().with_values(TRUTH), plays((3.0, -2.0), TRUTH)
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
+    return axis_search(model, recorded, part, SearchOptions(EFFECTS, 1))
+
+
+@pytest.fixture
+def found(search: Search) -> Found:
+    def leaves(cost: float, *effects: str) -> Refit:
+        residuals = np.full(len(search.used), np.sqrt(cost))
+        return Refit(effects, search.start, residuals, cost, 3 + len(effects), True)
+
+    return leaves
+
+
+def told(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> None:
+    """Each function of the search answers as given; others find nothing and change nothing."""
+    nothing = {
+        "stated_jobs": lambda *_: [],
+        "better_base": lambda _, base, *__: base,
+        "begun": lambda *_: [],
+        "tick_refits": lambda *_: [],
+        "rival_refits": lambda *_: [],
+        "refined": lambda _, *unchanged: unchanged,
+        "nested_refits": lambda _, *unchanged: unchanged,
+        "with_fewer_again": lambda _, *unchanged: unchanged,
+    }
+    for name, answer in (nothing | answers).items():
+        monkeypatch.setattr(axis_module, name, answer)
+
+
+def test_pairs_grow_from_the_best_effect_though_a_tick_was_found_beside_another(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grown: list[tuple[str, ...]] = []
+
+    def next_refits(_: Search, on: Sequence[Refit], *__: object, **___: object) -> list[Refit]:
+        grown.append(on[0].effects)
+        return {(): [found(20.0, FRICTION), found(30.0, WAVES)], (FRICTION,): [found(1.0, FRICTION, GAIN)]}[
+            on[0].effects
+        ]
+
+    told(monkeypatch, next_refits=next_refits, tick_refits=lambda *_: [found(5.0, TICK, WAVES)])
+    _, refits = refitted_sets(search, found(100.0))
+    assert grown == [(), (FRICTION,)]
+    assert min(refits, key=lambda r: r.cost).effects == (FRICTION, GAIN)
+
+
+def test_a_tick_beside_an_effect_is_what_triples_grow_from_where_it_is_the_best_pair(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grown: list[tuple[str, ...]] = []
+
+    def next_refits(_: Search, on: Sequence[Refit], *__: object, **___: object) -> list[Refit]:
+        grown.append(on[0].effects)
+        return [] if on[0].effects else [found(20.0, FRICTION), found(30.0, WAVES)]
+
+    told(monkeypatch, next_refits=next_refits, tick_refits=lambda *_: [found(5.0, TICK, WAVES)])
+    refitted_sets(search, found(30.0))
+    assert grown == [(), (FRICTION,), (TICK, WAVES)]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_is_best_only_in_the_end_has_rivals_too(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, known: bool
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def rivals(_: Search, best: Refit, __: object) -> list[Refit]:
+        asked.append(best.effects)
+        return [found(1.0, FRICTION, GAIN)] if best.effects == (FRICTION, WAVES) else []
+
+    told(
+        monkeypatch,
+        next_refits=lambda *_, **__: [found(20.0, FRICTION)],
+        rival_refits=rivals,
+        nested_refits=lambda _, base, refits: (base, refits if known else [*refits, found(1.1, FRICTION, WAVES)]),
+    )
+    _, refits = refitted_sets(search, found(100.0), most=1)
+    assert asked == ([(FRICTION,)] if known else [(FRICTION,), (FRICTION, WAVES)])
+    assert ((FRICTION, GAIN) in [r.effects for r in refits]) is not known
