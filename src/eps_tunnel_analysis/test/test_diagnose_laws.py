@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from eps_tunnel_analysis.diagnose import rank as rank_module
 from eps_tunnel_analysis.diagnose.axes import axis_verdict
-from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, inexact_share, lacks_more, with_fewer_again
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, joined
 from eps_tunnel_analysis.diagnose.base_values import Bases
 from eps_tunnel_analysis.diagnose.candidates import library
+from eps_tunnel_analysis.diagnose.contained import with_fewer_again
 from eps_tunnel_analysis.diagnose.rank import (
     NONE,
     UNKNOWN,
@@ -30,6 +31,7 @@ from eps_tunnel_analysis.diagnose.rank import (
     smallest_set,
 )
 from eps_tunnel_analysis.diagnose.refits import Refit
+from eps_tunnel_analysis.diagnose.sets import inexact_share, lacks_more
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from labyrinth_sim.model import load_model
 

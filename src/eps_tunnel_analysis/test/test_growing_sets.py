@@ -2,20 +2,23 @@
 """The order in which sets of effects are tried, with descents that are told beforehand what they find."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from fit_cases import TRUTH, plays, start
 
-from eps_tunnel_analysis.diagnose import axis as axis_module
-from eps_tunnel_analysis.diagnose.axis import refitted_sets
+from eps_tunnel_analysis.diagnose import sets as sets_module
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.refits import Refit
+from eps_tunnel_analysis.diagnose.contained import general_refits
+from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
+from eps_tunnel_analysis.diagnose.sets import refitted_sets
 
 FRICTION, GAIN, TICK, WAVES = "direction_friction.x", "gain_error.x", "command_quantisation.x", "positioning_error.x"
-EFFECTS = tuple(name.partition(".")[0] for name in (FRICTION, GAIN, TICK, WAVES))
+LIMIT, PROFILE = "rate_limit.x", "motion_profile.x"  # the second contains the first
+EFFECTS = tuple(name.partition(".")[0] for name in (FRICTION, GAIN, TICK, WAVES, LIMIT, PROFILE))
 
 Found = Callable[..., Refit]
 
@@ -44,12 +47,13 @@ def told(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> None:
         "begun": lambda *_: [],
         "tick_refits": lambda *_: [],
         "rival_refits": lambda *_: [],
+        "general_refits": lambda *_: [],
         "refined": lambda _, *unchanged: unchanged,
         "nested_refits": lambda _, *unchanged: unchanged,
         "with_fewer_again": lambda _, *unchanged: unchanged,
     }
     for name, answer in (nothing | answers).items():
-        monkeypatch.setattr(axis_module, name, answer)
+        monkeypatch.setattr(sets_module, name, answer)
 
 
 def test_pairs_grow_from_the_best_effect_though_a_tick_was_found_beside_another(
@@ -102,3 +106,31 @@ def test_what_is_best_only_in_the_end_has_rivals_too(
     _, refits = refitted_sets(search, found(100.0), most=1)
     assert asked == ([(FRICTION,)] if known else [(FRICTION,), (FRICTION, WAVES)])
     assert ((FRICTION, GAIN) in [r.effects for r in refits]) is not known
+
+
+@pytest.mark.parametrize(
+    ("limit", "profile", "tried"),
+    [
+        (3.0, None, True),
+        (3.0, 2.9, True),  # it only imitates the limit
+        (3.0, 1.0, False),
+        (1.0, None, False),  # nothing is left
+    ],
+)
+def test_a_general_form_starts_from_the_simple_ones_value_with_many_of_its_own(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, limit: float, profile: float | None, tried: bool
+) -> None:
+    given: list[Job] = []
+    monkeypatch.setattr(search, "best_of", lambda jobs, *_: given.extend(jobs) or [])
+    values = search.start.copy()
+    values[search.library.names.index("rate_limit.x.rate")] = 0.7
+    refits = [replace(found(limit, FRICTION, LIMIT), values=values)]
+    refits += [found(profile, FRICTION, PROFILE)] if profile else []
+    general_refits(search, refits)
+    assert bool(given) is tried
+    speed, acceleration = (search.library.names.index(f"{PROFILE}.{name}") for name in ("speed", "acceleration"))
+    off = search.columns(search.library.find(LIMIT))
+    for candidates, point in given:
+        assert [c.name for c in candidates] == [FRICTION, PROFILE]
+        assert point[speed] == 0.7 and np.array_equal(point[off], search.start[off])
+    assert len({float(point[acceleration]) for _, point in given}) == (3 if tried else 0)

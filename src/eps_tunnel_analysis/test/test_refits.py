@@ -14,24 +14,17 @@ from eps_tunnel_analysis.diagnose import base_values as base_values_module
 from eps_tunnel_analysis.diagnose import evidence as evidence_module
 from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
 from eps_tunnel_analysis.diagnose.axes import with_refits
-from eps_tunnel_analysis.diagnose.axis import (
-    AxisDiagnosis,
-    begun,
-    nested_refits,
-    next_refits,
-    refined,
-    rival_refits,
-    stated_jobs,
-    tick_refits,
-)
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley, better_base
+from eps_tunnel_analysis.diagnose.contained import nested_refits
 from eps_tunnel_analysis.diagnose.evidence import Evidence, Residuals, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import STEPS_LONGER, Search
+from eps_tunnel_analysis.diagnose.sets import begun, next_refits, refined, rival_refits, stated_jobs, tick_refits
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.stated import strain_of
 from eps_tunnel_analysis.diagnose.ticks import command_response

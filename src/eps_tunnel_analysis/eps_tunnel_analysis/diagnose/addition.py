@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from eps_tunnel_analysis.diagnose.axes import Diagnosis, left_out_error, with_refits
-from eps_tunnel_analysis.diagnose.axis import MISFITTED, ROUNDS, AxisDiagnosis, hypothesis, nested_refits
+from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis, hypothesis
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate
+from eps_tunnel_analysis.diagnose.contained import MISFITTED, ROUNDS, nested_refits
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.errors import compared, errors_of, play_errors
 from eps_tunnel_analysis.diagnose.falls import RecordingErrors, Three, by_recording, fall_sentences

@@ -78,3 +78,8 @@ def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
 def with_residuals(refit: Refit, residuals: Array) -> Refit:
     """The refit with residuals (R,) at its values."""
     return replace(refit, residuals=residuals, cost=float(np.mean(residuals**2)))
+
+
+def lowest(refits: Sequence[Refit]) -> Refit:
+    """The best refit; among equal ones, the one with the fewest effects."""
+    return min(refits, key=lambda r: (r.objective, len(r.effects)))

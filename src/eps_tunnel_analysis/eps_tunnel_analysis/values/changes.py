@@ -16,7 +16,7 @@ import numpy as np
 
 from eps_tunnel_analysis.alikeness import KS, joint_against_itself
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.diagnose.axis import ROUNDS, near_hypotheses, refitted_sets
+from eps_tunnel_analysis.diagnose.axis import near_hypotheses
 from eps_tunnel_analysis.diagnose.axis_search import (
     AxisPart,
     SearchOptions,
@@ -27,10 +27,12 @@ from eps_tunnel_analysis.diagnose.axis_search import (
 from eps_tunnel_analysis.diagnose.ball import without_ball
 from eps_tunnel_analysis.diagnose.base_values import fitted_bases
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
+from eps_tunnel_analysis.diagnose.contained import ROUNDS
 from eps_tunnel_analysis.diagnose.named_intervals import profiles
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, independent, joint, rank
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import Search
+from eps_tunnel_analysis.diagnose.sets import refitted_sets
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import decide, in_words, percent, undecided
 from eps_tunnel_analysis.fit.intervals import intervals

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sets of effects that contain others, as a general form of an effect contains a simple one: none may fit worse."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
+from eps_tunnel_analysis.diagnose.rank import worst_floors
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, best_by_set, lowest
+from eps_tunnel_analysis.diagnose.search import OUT_OF_REACH, Search
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from labyrinth_sim.trials import Array
+
+ROUNDS = 6
+NEAR_BEST = 2.0  # times the best refit's cost; what is within is searched again
+STARTS_EACH = 3  # places where an effect of several values starts
+TAKEN_APART = 3  # best sets of several effects, each of which is also tried without each of its effects
+MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
+A_LITTLE = 0.05  # how much, of a typical one
+
+
+def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The base and the refits. A refit that fits worse than a set it contains starts again from that set; sets
+    contained in the best ones, the base among them, start again from the values of these.
+
+    A set that contains another, or an effect that contains another one, can always imitate it, so it cannot fit worse;
+    if it still does, it has not converged. And one more effect may have helped only because the drive's values left a
+    wrong valley along with it, so these values are also tried without it.
+    """
+    fewer = _without_one(search, refits)
+    reach = OUT_OF_REACH * max(1.0, lowest([base, *refits]).cost)
+    jobs = [job for job, r in zip(fewer, search.refit(fewer, ROUNDS), strict=True) if r.cost < reach]
+    for refit in refits:
+        for smaller in (base, *refits):
+            if refit.cost <= MISFITTED * smaller.cost:
+                continue
+            start = contained(search, refit, smaller)
+            if start is not None:
+                jobs.append((search.library.of(refit.effects), start))
+    by_set = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
+
+    def misfits(refit: Refit) -> bool:
+        return any(refit.cost > MISFITTED * s.cost and contained(search, refit, s) is not None for s in by_set)
+
+    bare = next(r for r in by_set if not r.effects)
+    return bare, [replace(refit, converged=not misfits(refit)) for refit in by_set if refit.effects]
+
+
+def general_refits(search: Search, refits: Sequence[Refit]) -> list[Refit]:
+    """Those near the best that leave something, with an effect replaced by a more general form that is not known to fit
+    materially better. It starts from the simple form's values, with each value of its own that the simple one lacks.
+
+    Where it only imitates the simple form, a general one may have no slope that leads away.
+    """
+    known = {frozenset(r.effects): r.cost for r in refits}
+    best = min(known.values(), default=0.0)
+    jobs: list[Job] = []
+    for refit in (r for r in refits if r.cost < NEAR_BEST * best and leaves_something(search, r)):
+        for name, general in itertools.product(refit.effects, search.library.candidates):
+            wider = replace(refit, effects=(*(n for n in refit.effects if n != name), general.name))
+            shared = _shared(general, search.library.find(name))
+            start = contained(search, wider, refit) if shared and general.name not in refit.effects else None
+            if start is None or known.get(frozenset(wider.effects), np.inf) < refit.cost - SETTINGS.material:
+                continue
+            points = _spread(search, general, start, shared)
+            cost = np.nan_to_num(np.mean(search.residuals(points) ** 2, axis=1), nan=np.inf)
+            jobs += [(search.library.of(wider.effects), points[i]) for i in np.argsort(cost)[:STARTS_EACH]]
+    return search.best_of(jobs, ROUNDS, best) if jobs else []
+
+
+def _shared(general: Candidate, simple: Candidate) -> set[str]:
+    """Parameters of a general form that are values of a simple one; none if it is no form of it."""
+    rows = general.effect.contains
+    return {own for own, effect, its in rows if effect == simple.effect.name and isinstance(its, str)}
+
+
+def _spread(search: Search, general: Candidate, start: Array, kept: set[str]) -> Array:
+    """(n, K) values with all combinations of a candidate's starts in those of its parameters that are not kept."""
+    columns = search.columns(general)
+    each = [
+        [start[column]] if parameter.name in kept else np.unique(tried)
+        for parameter, column, tried in zip(general.declared, columns, starts(general).T, strict=True)
+    ]
+    rows = list(itertools.product(*each))
+    points = np.tile(start, (len(rows), 1))
+    points[:, columns] = rows
+    return np.clip(points, search.low, search.high)
+
+
+def with_fewer_again(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The base and the refits; those that fit better with the values of a set that contains them start again there.
+
+    Else a further effect would be named because the drive's values left a wrong valley along with it.
+    """
+    known = {frozenset(r.effects): r for r in (base, *refits)}
+    jobs = [job for job in _without_one(search, refits) if frozenset(c.name for c in job[0]) in known]
+    if not jobs:
+        return base, list(refits)
+    there = np.mean(search.residuals(np.array([values for _, values in jobs]), "exact") ** 2, axis=1)
+    better = [
+        (kept, values)
+        for (kept, values), cost in zip(jobs, there, strict=True)
+        if MISFITTED * (cost + search.held_at(values)) < known[frozenset(c.name for c in kept)].objective
+    ]
+    again = (replace(r, converged=known[frozenset(r.effects)].converged) for r in search.judged(better, ROUNDS))
+    by_set = best_by_set([base, *refits, *again])
+    return next(r for r in by_set if not r.effects), [r for r in by_set if r.effects]
+
+
+def leaves_something(search: Search, refit: Refit) -> bool:
+    """Whether a refit leaves more than noise, so that another valley may fit better."""
+    return search.exhaustive or worst_floors(refit.residuals, search.signal) > SETTINGS.close * SETTINGS.healthy
+
+
+def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
+    """The best sets of effects, single ones included, each without one effect, at the values of the full set."""
+    jobs: list[Job] = []
+    ordered = sorted(refits, key=lambda r: r.cost)
+    several, single = ([r for r in ordered if r.several == many] for many in (True, False))
+    for refit in (*several[:TAKEN_APART], *single[:TAKEN_APART]):
+        for name in refit.effects:
+            kept = search.library.of(n for n in refit.effects if n != name)
+            values, columns = refit.values.copy(), search.columns(search.library.find(name))
+            values[columns] = search.start[columns]
+            if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
+                jobs.append((kept, np.clip(values, search.low, search.high)))
+    return jobs
+
+
+def contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
+    """(K,) values at which the larger set does what the smaller one does, as far as its bounds allow; None if it
+    cannot.
+    """
+    values = smaller.values.copy()
+    added = [name for name in larger.effects if name not in smaller.effects]
+    for name in (n for n in smaller.effects if n not in larger.effects):
+        own = search.library.find(name)
+        wider = [c for c in map(search.library.find, added)
+                 if c.place == own.place and own.effect.name in [name for _, name, _ in c.effect.contains]]  # fmt: skip
+        kept = {its for c in wider[:1] for _, name, its in c.effect.contains if name == own.effect.name}
+        alone = [p for p in own.declared if p.off is not None and p.name not in kept]
+        if not wider or any(smaller.values[search.columns(own)[_place(own, p.name)]] != p.off for p in alone):
+            return None
+        general = wider[0]
+        for parameter, contained, its in general.effect.contains:
+            if contained == own.effect.name:
+                number = its if isinstance(its, float) else smaller.values[search.columns(own)[_place(own, its)]]
+                values[search.columns(general)[_place(general, parameter)]] = number
+        values[search.columns(own)] = search.start[search.columns(own)]
+        added.remove(general.name)
+    if set(smaller.effects) == set(larger.effects):
+        return None
+    return np.clip(weakly(search, values, added), search.low, search.high)
+
+
+def weakly(search: Search, values: Array, effects: Sequence[str]) -> Array:
+    """(K,) values with a little of some effects, because at their off values they have no slope."""
+    weak = values.copy()
+    for candidate in search.library.of(effects):
+        for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
+            weak[column] = weak[column] if p.off is None else p.off + A_LITTLE * (p.typical - p.off)
+    return weak
+
+
+def _place(candidate: Candidate, parameter: str) -> int:
+    return [p.name for p in candidate.declared].index(parameter)

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sets of effects that may explain what an axis lacks: single effects, then further ones on top of the best."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, base_starts, better_base, softened
+from eps_tunnel_analysis.diagnose.candidates import starts
+from eps_tunnel_analysis.diagnose.contained import (
+    NEAR_BEST,
+    ROUNDS,
+    STARTS_EACH,
+    general_refits,
+    leaves_something,
+    nested_refits,
+    weakly,
+    with_fewer_again,
+)
+from eps_tunnel_analysis.diagnose.rank import worst_floors
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, lowest
+from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Search
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.diagnose.ticks import tick_points
+
+STATED_SHORTLIST = 10  # effects fitted on top of a base as stated, and
+STATED_KEPT = 3  # how many of them go on with all values free
+REBASED = 1  # refits whose base values are searched again, each from
+REBASE_STARTS = 2  # starts, its own included
+POINTS_EACH = 2  # refits on top of which a set starts
+PAIR_SHORTLIST = 4
+MOST_EFFECTS = 3  # on one axis
+BEGINNINGS = 3  # effects of which a little is added to the base, before further ones are tried, and
+RIVALS = 4  # of an effect that are refitted in its place
+RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
+RUNNING = 4.0  # times what the best leaves
+SOFTENED = 3  # best sets that are tried with friction of the model that sets in gradually
+
+
+def refitted_sets(
+    search: Search, base: Refit, healthy: float = SETTINGS.healthy, level: float = 0.0, floor: bool = True,
+    most: int = MOST_EFFECTS,
+) -> tuple[Refit, list[Refit]]:  # fmt: skip
+    """Sets of effects that may explain what the base leaves: single effects, then further ones on top of the best.
+
+    Args:
+        healthy: floors of the worst signal that count as nothing missing.
+        level: floors that the base left before effects were added in earlier steps.
+        floor: whether repeated trials show the noise floor; if not, more than one effect is tried if much is left.
+        most: effects in a set.
+
+    Returns:
+        The base, from a better start if the effects showed one, and a refit of each set that was tried.
+    """
+    refits: list[Refit] = []
+    allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
+    worst = worst_floors(base.residuals, search.signal)
+    if search.library.candidates and (not floor or worst > SETTINGS.close * allowed):
+        refits = next_refits(search, [base], more=stated_jobs(search, base))
+        # An effect must not be named only because it led to a better start of the base.
+        points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
+        base = better_base(search, base, points, lowest([base, *refits]).cost)
+        replaced = [lowest([base, *refits])]  # whose rivals were tried
+        refits = best_by_set([*refits, *rival_refits(search, replaced[-1], refits)])
+        base, refits = refined(search, base, refits)
+        best = lowest([base, *refits])
+        worth = _explains(base, best)
+        lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
+        if lacking(best, refits):
+            fitted = {r.effects: r for r in (base, best)}.values()
+            ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
+            refits = best_by_set([*refits, *ticks])
+            best = lowest([best, *ticks])
+            worth = _explains(base, best)
+        for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
+            same = [r for r in refits if len(r.effects) == size]
+            if not (worth and same and lacking(best, refits)):
+                break
+            on = lowest(same)
+            beside = begun(search, base, refits) if size == 1 else []
+            more = next_refits(search, [on, *_runners_up(on, refits), *beside], PAIR_SHORTLIST)
+            if more:
+                replaced.append(lowest(more))
+                more += rival_refits(search, replaced[-1], [*refits, *more])
+            refits = best_by_set([*refits, *more])
+            best = lowest([best, *more])
+            worth = _explains(on, best)
+        base, refits = nested_refits(search, base, refits)
+        best = lowest([base, *refits])
+        if best.effects and not any(set(best.effects) == set(other.effects) for other in replaced):
+            refits = best_by_set([*refits, *rival_refits(search, best, refits)])
+        refits = best_by_set([*refits, *general_refits(search, refits)])
+        base, refits = refined(search, base, refits)
+        base, refits = with_fewer_again(search, base, refits)
+    return base, refits
+
+
+def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The base and the refits; those near the best judged again, with friction of the model that sets in gradually and
+    with shorter steps, if they need these.
+
+    How long steps may be depends on what is left: while an effect is missing, the base needs no such accuracy.
+    """
+    refits = best_by_set([*refits, *softened(search, best_by_set(refits)[:SOFTENED])])
+    best = lowest([base, *refits])
+    if not (search.levels["fine"].extrapolate and search.refine_at(best.values)):
+        return base, list(refits)
+    near = [r for r in refits if r.cost < NEAR_BEST * max(best.cost, 1.0)]
+    jobs = [(search.library.of(r.effects), r.values) for r in (base, *near)]
+    again = search.judged(jobs, ROUNDS)
+    search.settle_at(again[0])
+    judged = {old.effects: replace(new, converged=old.converged) for old, new in zip(near, again[1:], strict=True)}
+    return again[0], best_by_set([judged.get(r.effects, r) for r in refits])
+
+
+def next_refits(
+    search: Search, on: Sequence[Refit], shortlist: int = SHORTLIST, more: Sequence[Job] = ()
+) -> list[Refit]:
+    """Every candidate refitted on top of refits: trial points, then descents of the most promising; best first.
+
+    Args:
+        on: best first; if several effects act, one of them alone may not explain most.
+        more: descended in any case.
+    """
+    search.settle_at(on[0])
+    points = [on[0], *(search.at(other.values, other) for other in on[1:])]
+    tried = search.trial_points(points, search.library.candidates)
+    if not more and (not tried or tried[0].promised > on[0].cost - 0.5 * SETTINGS.material):
+        return []
+    return _rebased(search, search.best_of([*_jobs(search, points, tried, shortlist), *more], ROUNDS))
+
+
+def stated_jobs(search: Search, base: Refit) -> list[Job]:
+    """Effects that explain most with the base values as the model states them, if the base deviates from these.
+
+    A base whose values have absorbed a missing effect hides which one it is: on top of it no effect explains more.
+    """
+    if search.strain(base.values) < SETTINGS.strained:
+        return []
+    firm = search.as_stated()
+    start = np.where(search.firmness > 0.0, search.start, base.values)
+    (stated,) = firm.refit([((), start)], ROUNDS)
+    quick = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
+    tried = firm.trial_points([stated], quick)
+    refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS, race=np.inf))
+    search.evaluations = firm.evaluations
+    return [(search.library.of(r.effects), r.values) for r in refits[:STATED_KEPT]]
+
+
+def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], shortlist: float) -> list[Job]:
+    """The best trial points of each of the `shortlist` most promising sets, to be fitted on top of `points`.
+
+    A set starts from every point that leads to it, because the base that fits best without an effect may lie in a
+    valley where the effect does not help. An effect with several values starts from several of its own points, because
+    the most promising ones may lie in a wrong valley, too.
+    """
+    chosen: dict[frozenset[str], list[TrialPoint]] = {}
+    shortlist = np.inf if search.exhaustive else shortlist
+    for point in tried:
+        name = frozenset([*points[point.on].effects, point.candidate.name])
+        if name in chosen or len(chosen) < shortlist:
+            chosen.setdefault(name, []).append(point)
+    jobs: list[Job] = []
+    for same in chosen.values():
+        for on in list(dict.fromkeys(point.on for point in same))[:POINTS_EACH]:
+            fitted = search.library.of(points[on].effects)
+            here = [point for point in same if point.on == on]
+            many = STARTS_EACH if len(here[0].candidate.parameters) > 1 else 1
+            jobs += [((*fitted, point.candidate), point.values) for point in here[:many]]
+    return jobs
+
+
+def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
+    """The refits, the best of them descended again from other base values, unless it leaves only noise: their own may
+    lie in a wrong valley.
+
+    A refit close to the best may be confused with it, so it starts again from the best one's base values: whatever is
+    missing, the drive is the same.
+    """
+    size = len(search.library.base)
+    jobs: list[Job] = []
+    for refit in (r for r in refits[:REBASED] if size and leaves_something(search, r)):
+        points = base_starts(search, refit.values, REBASE_STARTS)[1:] + search.beside_stated([refit], ROUNDS)
+        jobs += [(search.library.of(refit.effects), point) for point in points]
+    again = best_by_set([*refits, *(search.best_of(jobs, ROUNDS) if jobs else [])])
+    near = [r for r in again[1:] if size and r.cost < NEAR_BEST * again[0].cost]
+    beside = [np.concatenate([again[0].values[:size], r.values[size:]]) for r in near]
+    named = [search.library.of(r.effects) for r in near]
+    return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
+
+
+def begun(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
+    """The base with a little of one more effect, for each of those that explain most by themselves.
+
+    Where something else acts as well, a tick above all, the values that an effect is fitted with by itself are wrong,
+    and on top of them so is what explains most. Here the effect's slopes compensate for as much as they can.
+    """
+    single = [r.effects for r in sorted(refits, key=lambda r: r.cost) if len(r.effects) == 1][:BEGINNINGS]
+    search.settle_at(base)
+    return [replace(search.at(weakly(search, base.values, effects), base), effects=effects) for effects in single]
+
+
+def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Refit]:
+    """Refits from the best ticks of commands on top of refits, where an axis leaves more than `allowed` floors."""
+    points = tick_points(search, on, allowed)
+    return search.best_of(_jobs(search, on, points, np.inf), ROUNDS) if points else []
+
+
+def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
+    """The best with each of its effects replaced by another: by its declared rivals, and by effects of other sets that
+    were tried. The base values of the best are kept, because the drive is the same whatever is missing.
+
+    A set that was tried before is fitted again only if this promises a lower cost than it reached.
+    """
+    known = {frozenset(r.effects): r.cost for r in tried}
+    jobs: list[Job] = []
+    for name in best.effects:
+        others = search.library.of(n for n in best.effects if n != name)
+        effect, registry = search.library.find(name).effect.name, search.library.model.registry
+        mistaken = registry.rivals(effect) if effect in registry.effects else ()  # a drive's value has none
+        rest = frozenset(other.name for other in others)
+        candidates = [c for c in search.library.candidates if c.name not in best.effects
+                      and (c.effect.name in mistaken or rest | {c.name} in known)]  # fmt: skip
+        if not candidates:
+            continue
+        without = best.values.copy()
+        columns = search.columns(search.library.find(name))
+        without[columns] = search.start[columns]
+        bare = replace(search.at(without, best), effects=tuple(o.name for o in others))
+        points = search.trial_points([bare], candidates)
+        promising = [p for p in points if p.promised < known.get(rest | {p.candidate.name}, np.inf)]
+        jobs += _jobs(search, [bare], promising, RIVALS)
+    return search.best_of(jobs, ROUNDS, best.cost) if jobs else []
+
+
+def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:
+    """The next best refits with as many effects."""
+    same = [r for r in refits if len(r.effects) == len(best.effects) and set(r.effects) != set(best.effects)]
+    near = [r for r in same if r.cost < RUNNING * best.cost]
+    return sorted(near, key=lambda r: (r.cost, r.effects))[:RUNNERS_UP]
+
+
+def lacks_more(
+    search: Search, base: Refit, best: Refit, refits: Sequence[Refit], healthy: float = SETTINGS.healthy,
+    level: float = 0.0, floor: bool = True,
+) -> bool:  # fmt: skip
+    """Whether the best of some refits, or a rival that fits as well, leaves so much that more may be missing.
+
+    What an effect may leave for its form, one of a single form may not. Without repeated trials, only a misfit far
+    beyond the sensors' noise counts.
+    """
+
+    def allowed(refit: Refit) -> float:
+        inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
+        share = SETTINGS.close if floor else SETTINGS.unrepeated
+        return share * (healthy + SETTINGS.form * max(inexact * base.cost, level))
+
+    rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
+    return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))
+
+
+def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:
+    """Share of the base's misfit that a refit's effects of inexact form explain: alone, or on top of the exact ones."""
+    exact = frozenset(name for name in refit.effects if search.library.find(name).effect.exact)
+    if not exact:
+        return 1.0
+
+    def left(part: Collection[str]) -> float:
+        return min([base.cost, *(r.cost for r in refits if r.effects and set(r.effects) <= set(part))])
+
+    explained = max(base.cost - left(set(refit.effects) - exact), left(exact) - refit.cost)
+    return float(np.clip(explained / max(base.cost - 1.0, 1e-12), 0.0, 1.0))
+
+
+def _explains(before: Refit, after: Refit) -> bool:
+    """Whether an added effect explains enough to continue from."""
+    return before.cost - after.cost >= max(SETTINGS.material, SETTINGS.worthwhile * (before.cost - 1.0))
