@@ -11,14 +11,15 @@ from fit_cases import TRUTH, plays, start
 
 from eps_tunnel_analysis.diagnose import sets as sets_module
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.contained import general_refits
+from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.sets import refitted_sets
 
 FRICTION, GAIN, TICK, WAVES = "direction_friction.x", "gain_error.x", "command_quantisation.x", "positioning_error.x"
 LIMIT, PROFILE = "rate_limit.x", "motion_profile.x"  # the second contains the first
-EFFECTS = tuple(name.partition(".")[0] for name in (FRICTION, GAIN, TICK, WAVES, LIMIT, PROFILE))
+LOAD, BY_POWER = "load_friction.x", "directional_load_friction.x"  # so does this one, with two values for one
+EFFECTS = tuple(name.partition(".")[0] for name in (FRICTION, GAIN, TICK, WAVES, LIMIT, PROFILE, LOAD, BY_POWER))
 
 Found = Callable[..., Refit]
 
@@ -134,3 +135,24 @@ def test_a_general_form_starts_from_the_simple_ones_value_with_many_of_its_own(
         assert [c.name for c in candidates] == [FRICTION, PROFILE]
         assert point[speed] == 0.7 and np.array_equal(point[off], search.start[off])
     assert len({float(point[acceleration]) for _, point in given}) == (3 if tried else 0)
+
+
+@pytest.mark.parametrize(("alone", "again"), [(4.0, True), (None, True), (1.2, False)])
+def test_a_simple_form_starts_from_what_the_general_one_found(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, alone: float | None, again: bool
+) -> None:
+    given: list[Job] = []
+    monkeypatch.setattr(search, "refit", lambda jobs, _: [found(9.0) for _ in jobs])  # long steps mislead
+    monkeypatch.setattr(search, "judged", lambda jobs, _: given.extend(jobs) or [])
+    values, names = search.start.copy(), search.library.names
+    values[0] -= 0.1 * search.spans[0]  # another valley of the drive's
+    for name, value in (("driving", 0.02), ("driven", 0.04)):
+        values[names.index(f"{BY_POWER}.{name}")] = value
+    refits = [replace(found(1.0, GAIN, BY_POWER), values=values)] + ([found(alone, GAIN, LOAD)] if alone else [])
+    nested_refits(search, found(100.0), refits)
+    simple = [point for candidates, point in given if [c.name for c in candidates] == [GAIN, LOAD]]
+    assert bool(simple) is again
+    for point in simple:
+        assert point[0] == values[0]
+        assert point[names.index(f"{LOAD}.share")] == pytest.approx(0.03)
+        assert (point[search.columns(search.library.find(BY_POWER))] == 0.0).all()

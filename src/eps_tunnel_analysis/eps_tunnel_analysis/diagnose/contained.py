@@ -2,7 +2,7 @@
 """Sets of effects that contain others, as a general form of an effect contains a simple one: none may fit worse."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,14 +17,17 @@ from labyrinth_sim.trials import Array
 ROUNDS = 6
 NEAR_BEST = 2.0  # times the best refit's cost; what is within is searched again
 STARTS_EACH = 3  # places where an effect of several values starts
-TAKEN_APART = 3  # best sets of several effects, each of which is also tried without each of its effects
+TAKEN_APART = (
+    3  # best sets of several effects, and of one, that are tried without each effect, or with a simple form of it
+)
 MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
 A_LITTLE = 0.05  # how much, of a typical one
 
 
 def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
     """The base and the refits. A refit that fits worse than a set it contains starts again from that set; sets
-    contained in the best ones, the base among them, start again from the values of these.
+    contained in the best ones, the base among them, start again from the values of these, and so do simple forms of
+    their effects.
 
     A set that contains another, or an effect that contains another one, can always imitate it, so it cannot fit worse;
     if it still does, it has not converged. And one more effect may have helped only because the drive's values left a
@@ -33,6 +36,7 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
     fewer = _without_one(search, refits)
     reach = OUT_OF_REACH * max(1.0, lowest([base, *refits]).cost)
     jobs = [job for job, r in zip(fewer, search.refit(fewer, ROUNDS), strict=True) if r.cost < reach]
+    jobs += _with_simpler(search, refits)
     for refit in refits:
         for smaller in (base, *refits):
             if refit.cost <= MISFITTED * smaller.cost:
@@ -71,13 +75,13 @@ def general_refits(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     return search.best_of(jobs, ROUNDS, best) if jobs else []
 
 
-def _shared(general: Candidate, simple: Candidate) -> set[str]:
-    """Parameters of a general form that are values of a simple one; none if it is no form of it."""
-    rows = general.effect.contains
-    return {own for own, effect, its in rows if effect == simple.effect.name and isinstance(its, str)}
+def _shared(general: Candidate, simple: Candidate) -> dict[str, str]:
+    """Parameter of a general form -> parameter of a simple one at the same place that it is; none if it is no form."""
+    rows = general.effect.contains if general.place == simple.place else ()
+    return {own: its for own, effect, its in rows if effect == simple.effect.name and isinstance(its, str)}
 
 
-def _spread(search: Search, general: Candidate, start: Array, kept: set[str]) -> Array:
+def _spread(search: Search, general: Candidate, start: Array, kept: Collection[str]) -> Array:
     """(n, K) values with all combinations of a candidate's starts in those of its parameters that are not kept."""
     columns = search.columns(general)
     each = [
@@ -118,9 +122,7 @@ def leaves_something(search: Search, refit: Refit) -> bool:
 def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
     """The best sets of effects, single ones included, each without one effect, at the values of the full set."""
     jobs: list[Job] = []
-    ordered = sorted(refits, key=lambda r: r.cost)
-    several, single = ([r for r in ordered if r.several == many] for many in (True, False))
-    for refit in (*several[:TAKEN_APART], *single[:TAKEN_APART]):
+    for refit in _best(refits):
         for name in refit.effects:
             kept = search.library.of(n for n in refit.effects if n != name)
             values, columns = refit.values.copy(), search.columns(search.library.find(name))
@@ -128,6 +130,37 @@ def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
             if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
                 jobs.append((kept, np.clip(values, search.low, search.high)))
     return jobs
+
+
+def _with_simpler(search: Search, refits: Sequence[Refit]) -> list[Job]:
+    """The best sets, each with a simple form in the place of a general one that fits materially better, at its values.
+
+    A general form may have left a wrong valley of the drive's values by itself.
+    """
+    known = {frozenset(r.effects): r.cost for r in refits}
+    jobs: list[Job] = []
+    for refit, simple in itertools.product(_best(refits), search.library.candidates):
+        for name in refit.effects:
+            general = search.library.find(name)
+            shared = _shared(general, simple)
+            kept = search.library.of([*(n for n in refit.effects if n != name), simple.name])
+            cost = known.get(frozenset(c.name for c in kept), np.inf)
+            if not shared or simple.name in refit.effects or cost < refit.cost + SETTINGS.material:
+                continue
+            values = refit.values.copy()
+            values[search.columns(general)] = search.start[search.columns(general)]
+            for its in set(shared.values()):
+                own = [search.columns(general)[_place(general, o)] for o, i in shared.items() if i == its]
+                values[search.columns(simple)[_place(simple, its)]] = np.mean(refit.values[own])
+            jobs.append((kept, np.clip(values, search.low, search.high)))
+    return jobs
+
+
+def _best(refits: Sequence[Refit]) -> list[Refit]:
+    """The best sets of several effects and of single ones."""
+    ordered = sorted(refits, key=lambda r: r.cost)
+    several, single = ([r for r in ordered if r.several == many] for many in (True, False))
+    return [*several[:TAKEN_APART], *single[:TAKEN_APART]]
 
 
 def contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
