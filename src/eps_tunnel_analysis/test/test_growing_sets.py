@@ -57,18 +57,22 @@ def told(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> None:
         monkeypatch.setattr(sets_module, name, answer)
 
 
+def growing(grown: list[tuple[str, ...]], answers: dict[tuple[str, ...], list[Refit]]) -> Callable[..., list[Refit]]:
+    """What is refitted on top of each set of effects; `grown` takes these sets."""
+
+    def next_refits(_: Search, on: Sequence[Refit], *__: object, **___: object) -> list[Refit]:
+        grown.append(on[0].effects)
+        return answers.get(on[0].effects, [])
+
+    return next_refits
+
+
 def test_pairs_grow_from_the_best_effect_though_a_tick_was_found_beside_another(
     search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grown: list[tuple[str, ...]] = []
-
-    def next_refits(_: Search, on: Sequence[Refit], *__: object, **___: object) -> list[Refit]:
-        grown.append(on[0].effects)
-        return {(): [found(20.0, FRICTION), found(30.0, WAVES)], (FRICTION,): [found(1.0, FRICTION, GAIN)]}[
-            on[0].effects
-        ]
-
-    told(monkeypatch, next_refits=next_refits, tick_refits=lambda *_: [found(5.0, TICK, WAVES)])
+    answers = {(): [found(20.0, FRICTION), found(30.0, WAVES)], (FRICTION,): [found(1.0, FRICTION, GAIN)]}
+    told(monkeypatch, next_refits=growing(grown, answers), tick_refits=lambda *_: [found(5.0, TICK, WAVES)])
     _, refits = refitted_sets(search, found(100.0))
     assert grown == [(), (FRICTION,)]
     assert min(refits, key=lambda r: r.cost).effects == (FRICTION, GAIN)
@@ -78,12 +82,8 @@ def test_a_tick_beside_an_effect_is_what_triples_grow_from_where_it_is_the_best_
     search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grown: list[tuple[str, ...]] = []
-
-    def next_refits(_: Search, on: Sequence[Refit], *__: object, **___: object) -> list[Refit]:
-        grown.append(on[0].effects)
-        return [] if on[0].effects else [found(20.0, FRICTION), found(30.0, WAVES)]
-
-    told(monkeypatch, next_refits=next_refits, tick_refits=lambda *_: [found(5.0, TICK, WAVES)])
+    answers = {(): [found(20.0, FRICTION), found(30.0, WAVES)]}
+    told(monkeypatch, next_refits=growing(grown, answers), tick_refits=lambda *_: [found(5.0, TICK, WAVES)])
     refitted_sets(search, found(30.0))
     assert grown == [(), (FRICTION,), (TICK, WAVES)]
 

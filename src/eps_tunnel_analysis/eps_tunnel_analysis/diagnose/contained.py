@@ -17,11 +17,9 @@ from labyrinth_sim.trials import Array
 ROUNDS = 6
 NEAR_BEST = 2.0  # times the best refit's cost; what is within is searched again
 STARTS_EACH = 3  # places where an effect of several values starts
-TAKEN_APART = (
-    3  # best sets of several effects, and of one, that are tried without each effect, or with a simple form of it
-)
+TAKEN_APART = 3  # best sets of several effects, and of one, that are tried without each effect or with a simple form
 MISFITTED = 1.02  # times the cost of a set that it contains; a refit that leaves more has not converged
-A_LITTLE = 0.05  # how much, of a typical one
+A_LITTLE = 0.05  # of a typical effect, with which it begins where its off values have no slope
 
 
 def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
@@ -76,9 +74,16 @@ def general_refits(search: Search, refits: Sequence[Refit]) -> list[Refit]:
 
 
 def _shared(general: Candidate, simple: Candidate) -> dict[str, str]:
-    """Parameter of a general form -> parameter of a simple one at the same place that it is; none if it is no form."""
+    """Parameter of a general form -> parameter of a simple one that it is; none if it is no form of it."""
+    return {own: its for own, its in _as_simple(general, simple) if isinstance(its, str)}
+
+
+def _as_simple(general: Candidate, simple: Candidate) -> list[tuple[str, str | float]]:
+    """Parameters of a general form, and what each has to be for it to act as a simple one at the same place: a
+    parameter of that, or a number. Empty if it is no form of it.
+    """
     rows = general.effect.contains if general.place == simple.place else ()
-    return {own: its for own, effect, its in rows if effect == simple.effect.name and isinstance(its, str)}
+    return [(own, its) for own, effect, its in rows if effect == simple.effect.name]
 
 
 def _spread(search: Search, general: Candidate, start: Array, kept: Collection[str]) -> Array:
@@ -124,12 +129,17 @@ def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
     jobs: list[Job] = []
     for refit in _best(refits):
         for name in refit.effects:
-            kept = search.library.of(n for n in refit.effects if n != name)
-            values, columns = refit.values.copy(), search.columns(search.library.find(name))
-            values[columns] = search.start[columns]
+            kept, values = without(search, refit, name)
             if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
                 jobs.append((kept, np.clip(values, search.low, search.high)))
     return jobs
+
+
+def without(search: Search, refit: Refit, name: str) -> Job:
+    """The other effects of a refit, and its (K,) values with this one switched off."""
+    values, columns = refit.values.copy(), search.columns(search.library.find(name))
+    values[columns] = search.start[columns]
+    return search.library.of(n for n in refit.effects if n != name), values
 
 
 def _with_simpler(search: Search, refits: Sequence[Refit]) -> list[Job]:
@@ -143,12 +153,12 @@ def _with_simpler(search: Search, refits: Sequence[Refit]) -> list[Job]:
         for name in refit.effects:
             general = search.library.find(name)
             shared = _shared(general, simple)
-            kept = search.library.of([*(n for n in refit.effects if n != name), simple.name])
-            cost = known.get(frozenset(c.name for c in kept), np.inf)
-            if not shared or simple.name in refit.effects or cost < refit.cost + SETTINGS.material:
+            if not shared or simple.name in refit.effects:
                 continue
-            values = refit.values.copy()
-            values[search.columns(general)] = search.start[search.columns(general)]
+            others, values = without(search, refit, name)
+            kept = (*others, simple)
+            if known.get(frozenset(c.name for c in kept), np.inf) < refit.cost + SETTINGS.material:
+                continue
             for its in set(shared.values()):
                 own = [search.columns(general)[_place(general, o)] for o, i in shared.items() if i == its]
                 values[search.columns(simple)[_place(simple, its)]] = np.mean(refit.values[own])
@@ -171,17 +181,15 @@ def contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
     added = [name for name in larger.effects if name not in smaller.effects]
     for name in (n for n in smaller.effects if n not in larger.effects):
         own = search.library.find(name)
-        wider = [c for c in map(search.library.find, added)
-                 if c.place == own.place and own.effect.name in [name for _, name, _ in c.effect.contains]]  # fmt: skip
-        kept = {its for c in wider[:1] for _, name, its in c.effect.contains if name == own.effect.name}
+        wider = [c for c in map(search.library.find, added) if _as_simple(c, own)]
+        kept = {its for c in wider[:1] for _, its in _as_simple(c, own)}
         alone = [p for p in own.declared if p.off is not None and p.name not in kept]
         if not wider or any(smaller.values[search.columns(own)[_place(own, p.name)]] != p.off for p in alone):
             return None
         general = wider[0]
-        for parameter, contained, its in general.effect.contains:
-            if contained == own.effect.name:
-                number = its if isinstance(its, float) else smaller.values[search.columns(own)[_place(own, its)]]
-                values[search.columns(general)[_place(general, parameter)]] = number
+        for parameter, its in _as_simple(general, own):
+            number = its if isinstance(its, float) else smaller.values[search.columns(own)[_place(own, its)]]
+            values[search.columns(general)[_place(general, parameter)]] = number
         values[search.columns(own)] = search.start[search.columns(own)]
         added.remove(general.name)
     if set(smaller.effects) == set(larger.effects):

@@ -18,6 +18,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     nested_refits,
     weakly,
     with_fewer_again,
+    without,
 )
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, lowest
@@ -32,7 +33,7 @@ REBASE_STARTS = 2  # starts, its own included
 POINTS_EACH = 2  # refits on top of which a set starts
 PAIR_SHORTLIST = 4
 MOST_EFFECTS = 3  # on one axis
-BEGINNINGS = 3  # effects of which a little is added to the base, before further ones are tried, and
+BEGINNINGS = 3  # effects of which a little is added to the base, before further ones are tried
 RIVALS = 4  # of an effect that are refitted in its place
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
@@ -62,8 +63,9 @@ def refitted_sets(
         # An effect must not be named only because it led to a better start of the base.
         points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
         base = better_base(search, base, points, lowest([base, *refits]).cost)
-        replaced = [lowest([base, *refits])]  # whose rivals were tried
-        refits = best_by_set([*refits, *rival_refits(search, replaced[-1], refits)])
+        best = lowest([base, *refits])
+        replaced = {frozenset(best.effects)}  # sets whose rivals were tried
+        refits = best_by_set([*refits, *rival_refits(search, best, refits)])
         base, refits = refined(search, base, refits)
         best = lowest([base, *refits])
         worth = _explains(base, best)
@@ -82,14 +84,15 @@ def refitted_sets(
             beside = begun(search, base, refits) if size == 1 else []
             more = next_refits(search, [on, *_runners_up(on, refits), *beside], PAIR_SHORTLIST)
             if more:
-                replaced.append(lowest(more))
-                more += rival_refits(search, replaced[-1], [*refits, *more])
+                better = lowest(more)
+                replaced.add(frozenset(better.effects))
+                more += rival_refits(search, better, [*refits, *more])
             refits = best_by_set([*refits, *more])
             best = lowest([best, *more])
             worth = _explains(on, best)
         base, refits = nested_refits(search, base, refits)
         best = lowest([base, *refits])
-        if best.effects and not any(set(best.effects) == set(other.effects) for other in replaced):
+        if best.effects and frozenset(best.effects) not in replaced:
             refits = best_by_set([*refits, *rival_refits(search, best, refits)])
         refits = best_by_set([*refits, *general_refits(search, refits)])
         base, refits = refined(search, base, refits)
@@ -217,18 +220,15 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
     known = {frozenset(r.effects): r.cost for r in tried}
     jobs: list[Job] = []
     for name in best.effects:
-        others = search.library.of(n for n in best.effects if n != name)
         effect, registry = search.library.find(name).effect.name, search.library.model.registry
         mistaken = registry.rivals(effect) if effect in registry.effects else ()  # a drive's value has none
+        others, values = without(search, best, name)
         rest = frozenset(other.name for other in others)
         candidates = [c for c in search.library.candidates if c.name not in best.effects
                       and (c.effect.name in mistaken or rest | {c.name} in known)]  # fmt: skip
         if not candidates:
             continue
-        without = best.values.copy()
-        columns = search.columns(search.library.find(name))
-        without[columns] = search.start[columns]
-        bare = replace(search.at(without, best), effects=tuple(o.name for o in others))
+        bare = replace(search.at(values, best), effects=tuple(o.name for o in others))
         points = search.trial_points([bare], candidates)
         promising = [p for p in points if p.promised < known.get(rest | {p.candidate.name}, np.inf)]
         jobs += _jobs(search, [bare], promising, RIVALS)
