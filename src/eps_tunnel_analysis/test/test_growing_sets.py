@@ -14,7 +14,7 @@ from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, 
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
-from eps_tunnel_analysis.diagnose.sets import refitted_sets
+from eps_tunnel_analysis.diagnose.sets import refitted_sets, settled
 
 FRICTION, GAIN, TICK, WAVES = "direction_friction.x", "gain_error.x", "command_quantisation.x", "positioning_error.x"
 LIMIT, PROFILE = "rate_limit.x", "motion_profile.x"  # the second contains the first
@@ -52,6 +52,7 @@ def told(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> None:
         "refined": lambda _, *unchanged: unchanged,
         "nested_refits": lambda _, *unchanged: unchanged,
         "with_fewer_again": lambda _, *unchanged: unchanged,
+        "settled": lambda _, *unchanged: unchanged,
     }
     for name, answer in (nothing | answers).items():
         monkeypatch.setattr(sets_module, name, answer)
@@ -156,3 +157,14 @@ def test_a_simple_form_starts_from_what_the_general_one_found(
         assert point[0] == values[0]
         assert point[names.index(f"{LOAD}.share")] == pytest.approx(0.03)
         assert (point[search.columns(search.library.find(BY_POWER))] == 0.0).all()
+
+
+def test_what_is_near_the_best_in_the_end_is_descended_until_it_rests(search: Search, found: Found) -> None:
+    away = search.start.copy()
+    away[0] += 0.1 * search.spans[0]
+    base, stopped = search.refit([(search.library.of(effects), away) for effects in ((), (LOAD,))], 0, "exact")
+    far = found(100.0 * base.cost, FRICTION)
+    again, (rested, unchanged) = settled(search, base, [stopped, far])
+    assert (rested.effects, unchanged) == ((LOAD,), far)
+    assert stopped.cost > 1.5
+    assert max(again.cost, rested.cost) < 1.05

@@ -153,6 +153,19 @@ def test_cheap_slopes_lead_to_the_same_place_and_dear_ones_take_over_where_they_
     assert asked == [1, 3, 3, 3]  # the start, and the steps that are tried
 
 
+@pytest.mark.parametrize("share", [10.0, 0.0])  # steps far too short, and none
+def test_a_problem_that_is_to_be_certain_takes_its_own_slopes_once_cheap_ones_mislead_it(share: float) -> None:
+    def mislead(z, owners):
+        return share * response(z)
+
+    starts, free = np.full((1, 3), 0.4), np.ones((1, 3), bool)
+
+    def left(certain: bool) -> float:
+        return float(descend(residuals, starts, free, rounds=8, slopes=mislead, certain=certain).cost[0])
+
+    assert left(certain=True) < 1e-6 * left(certain=False)
+
+
 def test_a_slope_that_is_rough_close_by_is_taken_from_further_away(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = np.random.default_rng(0)
     directions, target = drawn.standard_normal((60, 3)), np.array([0.3, 0.6, 0.5])

@@ -16,7 +16,7 @@ from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
 from eps_tunnel_analysis.diagnose.axes import with_refits
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.base_values import along_valley, better_base
+from eps_tunnel_analysis.diagnose.base_values import along_valley, base_from, better_base
 from eps_tunnel_analysis.diagnose.contained import nested_refits
 from eps_tunnel_analysis.diagnose.evidence import Evidence, Residuals, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
@@ -285,7 +285,7 @@ def test_an_effect_is_contained_only_without_what_the_other_one_cannot_do(
 ) -> None:
     monkeypatch.setattr(search, "judged", lambda jobs, rounds: [])
     narrow, wide = FRICTIONS[0] + ".x", FRICTIONS[1] + ".x"
-    for bearings, converged in ((0.0, False), (0.2, True)):
+    for bearings, converged in ((0.0, False), (0.0005, False), (0.2, True)):  # the second is off, within what shows
         smaller = refit(search, (narrow,), 2.0, share=0.1, bearings=bearings)
         _, found = nested_refits(search, refit(search, (), 9.0), [smaller, refit(search, (wide,), 4.0)])
         assert {r.effects: r.converged for r in found}[(wide,)] is converged
@@ -338,6 +338,24 @@ def test_the_base_is_tried_again_at_the_values_that_it_has_beside_an_effect(sear
     base, _ = nested_refits(search, refit(search, (), 100.0 * right.cost), [beside])
     assert base.effects == ()
     assert base.cost < 1.02 * right.cost
+
+
+@pytest.mark.parametrize("shorter", [False, True])
+def test_where_the_base_needs_shorter_steps_all_of_its_valleys_are_judged_by_these(
+    search: Search, monkeypatch: pytest.MonkeyPatch, shorter: bool
+) -> None:
+    valleys = [refit(search, (), 0.9, p=1.0), refit(search, (), 0.5, p=2.0)]
+    judged: list[int] = []
+
+    def judge(jobs: list[Job], rounds: int) -> list[Refit]:
+        judged.append(len(jobs))
+        return [next(r for r in valleys if np.array_equal(r.values, values)) for _, values in jobs]
+
+    monkeypatch.setattr(base_values_module, "_in_valleys", lambda search, points, first: valleys)
+    monkeypatch.setattr(search, "refine_at", lambda values: shorter)
+    monkeypatch.setattr(search, "judged", judge)
+    assert base_from(search, [r.values for r in valleys]) is valleys[shorter]
+    assert judged == [1 + shorter]
 
 
 @pytest.mark.parametrize(("best", "left", "again"), [(60.0, 100.0, True), (1.0, 100.0, False), (1.0, 50.0, True)])

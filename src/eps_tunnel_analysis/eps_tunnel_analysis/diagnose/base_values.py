@@ -120,7 +120,7 @@ def base_refit(
         points = [search.start.copy()]
         points[0][: len(search.library.base)] = [known[name] for name in search.library.base]
     if roughly:
-        return _in_valley(search, points, first=True)
+        return _in_valleys(search, points, first=True)[0]
     refit = base_from(search, points, first=True)
     if fitted and worst_floors(refit.residuals, search.signal) > SETTINGS.healthy:
         other = base_from(search, base_starts(search, search.start, BASE_STARTS))
@@ -150,8 +150,8 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     return chosen[:keep]
 
 
-def _in_valley(search: Search, points: Sequence[Array], first: bool) -> Refit:
-    """The base values alone, descended at the fine level from the best valley among (K,) values.
+def _in_valleys(search: Search, points: Sequence[Array], first: bool) -> list[Refit]:
+    """The base values alone, descended at the fine level from the best valleys among (K,) values, best first.
 
     A single point is assumed to lie in it.
 
@@ -170,7 +170,7 @@ def _in_valley(search: Search, points: Sequence[Array], first: bool) -> Refit:
         search.see_ticks(finer[0].values)
     search.feel(finer[0])
     last = search.refit([((), r.values) for r in finer], BASE_ROUNDS, "fine")
-    return min(last, key=lambda r: r.objective)
+    return sorted(last, key=lambda r: r.objective)
 
 
 def base_from(search: Search, points: Sequence[Array], first: bool = False) -> Refit:
@@ -179,9 +179,10 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     Args:
         first: nothing was refitted before; then the noise floor is settled, too.
     """
-    best_of_all = _in_valley(search, points, first)
-    search.refine_at(best_of_all.values)
-    result = search.judged([((), best_of_all.values)], BASE_ROUNDS)[0]
+    valleys = _in_valleys(search, points, first)
+    if not search.refine_at(valleys[0].values):
+        valleys = valleys[:1]  # else the longer steps may have misjudged which is the best
+    result = min(search.judged([((), r.values) for r in valleys], BASE_ROUNDS), key=lambda r: r.objective)
     if first and worst_floors(result.residuals, search.signal) > 1.0:
         (result,) = softened(search, [result])
     for number in range(MORE_DESCENTS):

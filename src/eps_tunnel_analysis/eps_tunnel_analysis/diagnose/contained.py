@@ -12,6 +12,7 @@ from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, best_by_set, lowest
 from eps_tunnel_analysis.diagnose.search import OUT_OF_REACH, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.trials import Array
 
 ROUNDS = 6
@@ -183,8 +184,8 @@ def contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
         own = search.library.find(name)
         wider = [c for c in map(search.library.find, added) if _as_simple(c, own)]
         kept = {its for c in wider[:1] for _, its in _as_simple(c, own)}
-        alone = [p for p in own.declared if p.off is not None and p.name not in kept]
-        if not wider or any(smaller.values[search.columns(own)[_place(own, p.name)]] != p.off for p in alone):
+        alone = [p.name for p in own.declared if p.off is not None and p.name not in kept]
+        if not wider or not all(_is_off(search, own, name, smaller.values) for name in alone):
             return None
         general = wider[0]
         for parameter, its in _as_simple(general, own):
@@ -204,6 +205,13 @@ def weakly(search: Search, values: Array, effects: Sequence[str]) -> Array:
         for p, column in zip(candidate.declared, search.columns(candidate), strict=True):
             weak[column] = weak[column] if p.off is None else p.off + A_LITTLE * (p.typical - p.off)
     return weak
+
+
+def _is_off(search: Search, candidate: Candidate, parameter: str, values: Array) -> bool:
+    """Whether a candidate's parameter acts on nothing at values (K,), as far as a descent can tell."""
+    place = _place(candidate, parameter)
+    column, off = search.columns(candidate)[place], candidate.declared[place].off
+    return off is not None and bool(abs(values[column] - off) < AT_BOUND * search.spans[column])
 
 
 def _place(candidate: Candidate, parameter: str) -> int:

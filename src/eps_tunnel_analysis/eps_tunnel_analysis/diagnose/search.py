@@ -345,7 +345,7 @@ class Search:
         if race is not None and not self.exhaustive:
             hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + len(self.start)))
         result = descend(scaled, begun, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
-                         width=width, near=None if self.exhaustive else STANDS)  # fmt: skip
+                         width=width, near=None if self.exhaustive else STANDS, certain=level == "exact")  # fmt: skip
         values = np.clip(self.low + result.z * self.spans, self.low, self.high)
         return [
             Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],

@@ -37,6 +37,7 @@ BEGINNINGS = 3  # effects of which a little is added to the base, before further
 RIVALS = 4  # of an effect that are refitted in its place
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
+SETTLED_ROUNDS = 12  # at most, of the sets near the best, in the end
 SOFTENED = 3  # best sets that are tried with friction of the model that sets in gradually
 
 
@@ -97,7 +98,21 @@ def refitted_sets(
         refits = best_by_set([*refits, *general_refits(search, refits)])
         base, refits = refined(search, base, refits)
         base, refits = with_fewer_again(search, base, refits)
+        base, refits = settled(search, base, refits)
     return base, refits
+
+
+def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The base and the refits; those near the best go on at the steps that judge until they rest.
+
+    So that none is ranked behind another one because its descent was stopped.
+    """
+    best = lowest([base, *refits])
+    near = [r for r in best_by_set([base, *refits])[:SHORTLIST] if r.cost < NEAR_BEST * max(best.cost, 1.0)]
+    again = search.refit([(search.library.of(r.effects), r.values) for r in near], SETTLED_ROUNDS, "exact")
+    kept = [replace(new, converged=old.converged) for old, new in zip(near, again, strict=True)]
+    by_set = best_by_set([base, *refits, *kept])
+    return next(r for r in by_set if not r.effects), [r for r in by_set if r.effects]
 
 
 def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:

@@ -19,6 +19,7 @@ DAMPINGS = np.array([0.1, 1.0, 10.0])
 FIRST_DAMPING = 1e-2
 TRUST = 1e-12
 LEAST_DAMPED = 1e-3  # damping of the step whose gain the slopes promise
+KEPT_PROMISE = 0.25  # share of what cheaper slopes promise that a step has to gain, if their problem is to be certain
 LEAST_PROMISE = 10.0  # times the tolerance: promising this much, slopes that led nowhere are taken by the simulator
 RESCALED = 10.0  # times by which a finite difference grows or shrinks from round to round, at most
 WIDER = 10.0  # times by which finite differences grow before a problem rests
@@ -62,6 +63,7 @@ def descend(
     slopes: BatchResiduals | None = None,
     width: float | Array = 1.0,
     near: float | None = None,
+    certain: bool = False,
 ) -> Descent:
     """Descend every problem from its start.
 
@@ -81,6 +83,7 @@ def descend(
         width: of the box, one for all values or (K,).
         near: of two problems that move the same values and whose residuals differ by less than this in mean square, or
             by less than its square of what the better one leaves, only that one goes on after a round. None for all.
+        certain: a problem rests only where its own slopes let it, and takes these once the cheaper ones mislead it.
     """
     z = np.array(starts, dtype=np.float64)
     count, size = z.shape
@@ -99,7 +102,11 @@ def descend(
     wide = np.ones(count)
 
     def stuck(b: int) -> None:
-        """Continues with wider finite differences, or lets a problem rest that already has these."""
+        """Continues with own slopes, then wider finite differences, or lets a problem rest that already has these."""
+        if cheap[b] and certain:
+            cheap[b] = False
+            jacobians.pop(b, None)
+            return
         if response is None or wide[b] == WIDER:
             rest[b] = converged[b] = True
             return
@@ -149,6 +156,9 @@ def descend(
                 continue
             gain = 1.0 - costs[row, winner] / cost[b]
             pick = row * len(DAMPINGS) + winner
+            if cheap[b] and certain:
+                promised = 1.0 - _linear(z[b], at[b], *jacobians[b], proposals[pick]) / cost[b]
+                cheap[b] = gain >= KEPT_PROMISE * promised
             z[b], at[b], cost[b] = proposals[pick], answers[pick], costs[row, winner]
             del jacobians[int(b)]
             damping[b] = np.clip(factors[pick] / 3.0, 1e-9, 1e6)
@@ -220,8 +230,13 @@ def _jacobians(
 
 def _promise(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], widths: Array) -> float:
     """Share of the cost that these slopes say can be gained."""
-    ahead = (_step(z, at, jacobian, columns, widths, LEAST_DAMPED) - z)[columns]
-    return 1.0 - float(np.sum((at + jacobian @ ahead) ** 2) / max(np.sum(at**2), np.finfo(float).tiny))
+    ahead = _step(z, at, jacobian, columns, widths, LEAST_DAMPED)
+    return 1.0 - _linear(z, at, jacobian, columns, ahead) / max(float(np.mean(at**2)), np.finfo(float).tiny)
+
+
+def _linear(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], ahead: Array) -> float:
+    """Cost that these slopes say is left `ahead`."""
+    return float(np.mean((at + jacobian @ (ahead - z)[columns]) ** 2))
 
 
 def _adapted(steps: Array, slopes: Array, response: float) -> Array:
