@@ -39,11 +39,12 @@ def test_of_two_forms_that_fit_alike_the_one_with_fewer_free_values_is_likelier(
         contains = (frozenset({"simple.x"}),) if effects == ("general.x",) else ()
         return Hypothesis(refit, residuals, contains, unused=unused)
 
-    def simple_of(unused: int, other: str = "general.x") -> float:
-        both = [one(("simple.x",), 1.0, 7, unused), one((other,), 1.0, 7)]
+    def simple_of(unused: int, other: str = "general.x", its: int = 0) -> float:
+        both = [one(("simple.x",), 1.0, 7, unused), one((other,), 1.0, 7, its)]
         folds = np.arange(SAMPLES) * FOLDS // SAMPLES
         return rank(one((), 10.0, 5), both, folds, np.zeros(SAMPLES, np.int64), tried=10).probabilities["simple.x"]
 
     assert simple_of(0) == pytest.approx(0.5, abs=0.02)
     assert simple_of(1) > 0.9
+    assert simple_of(1, its=1) > 0.9  # where the general one has a value at a bound, it acts as the simple one
     assert simple_of(1, "another.x") == pytest.approx(0.5, abs=0.02)  # that one is no form of it

@@ -419,10 +419,12 @@ def _no_better_than_simpler(
 
 
 def _beyond_simpler(hypotheses: Sequence[Hypothesis]) -> NDArray[np.int64]:
-    """(h,) how many values more each general form uses than a simple one has at a bound, where these are not free."""
+    """(h,) how many values more each general form uses than a simple one that has some at a bound, where they are not
+    free. All of its own count: with one of them at a bound, it acts as the simple form.
+    """
     beyond = np.zeros(len(hypotheses), dtype=np.int64)
     for i, j in _forms(hypotheses):
-        beyond[i] = max(beyond[i], hypotheses[j].unused - hypotheses[i].unused)
+        beyond[i] = max(beyond[i], hypotheses[j].unused)
     return beyond
 
 
