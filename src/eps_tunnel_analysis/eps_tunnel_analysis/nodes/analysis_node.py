@@ -42,6 +42,7 @@ PHASES: dict[int, Phase] = {Trial.START: "start", Trial.END: "end", Trial.ABORTE
 SUFFIX_FIELDS = {"": "position", "_velocity": "velocity", "_effort": "effort"}
 SUFFIX_UNITS = {"": "rad", "_velocity": "rad/s", "_effort": "N m"}
 LOWEST_RATE = 1.0  # Hz
+FAREWELL = 0.5  # s to stay after a last answer: DDS drops what its reader has not taken when the sender leaves
 
 
 class DiagnoseServer:
@@ -155,6 +156,7 @@ class AnalysisNode(TunnelNode):
         self._counters = self.create_publisher(LiveCounters, "srg/counters", 10, **overridable)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._next_look: Future[None] | None = None
+        self._stays_until = 0.0
         # Of its own, so that all else goes on while an answer waits.
         self.create_service(Record, "record", self._record, callback_group=MutuallyExclusiveCallbackGroup())
         self.create_timer(1 / srg_rate, self._tell_figures)
@@ -171,7 +173,7 @@ class AnalysisNode(TunnelNode):
 
     @property
     def busy(self) -> bool:
-        return self._diagnose.busy or self._next_look is not None
+        return self._diagnose.busy or self._next_look is not None or time.monotonic() < self._stays_until
 
     @property
     def poll_period(self) -> float:
@@ -332,6 +334,7 @@ class AnalysisNode(TunnelNode):
             if (not missing and self._recorder.settled) or time.monotonic() >= deadline:
                 return missing
             if self.stopping.is_set():
+                self._stays_until = time.monotonic() + FAREWELL
                 raise InputError("The analysis node is being stopped.")
             self._next_look = Future()
             await self._next_look
