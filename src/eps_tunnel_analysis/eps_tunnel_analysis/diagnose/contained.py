@@ -9,7 +9,7 @@ import numpy as np
 
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.refits import Job, Refit, best_by_set, lowest
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, base_and_sets, lowest
 from eps_tunnel_analysis.diagnose.search import OUT_OF_REACH, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.problem import AT_BOUND
@@ -43,13 +43,12 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
             start = contained(search, refit, smaller)
             if start is not None:
                 jobs.append((search.library.of(refit.effects), start))
-    by_set = best_by_set([base, *refits, *search.judged(jobs, ROUNDS)])
+    bare, sets = base_and_sets([base, *refits, *search.judged(jobs, ROUNDS)])
 
     def misfits(refit: Refit) -> bool:
-        return any(refit.cost > MISFITTED * s.cost and contained(search, refit, s) is not None for s in by_set)
+        return any(refit.cost > MISFITTED * s.cost and contained(search, refit, s) is not None for s in (bare, *sets))
 
-    bare = next(r for r in by_set if not r.effects)
-    return bare, [replace(refit, converged=not misfits(refit)) for refit in by_set if refit.effects]
+    return bare, [replace(refit, converged=not misfits(refit)) for refit in sets]
 
 
 def general_refits(search: Search, refits: Sequence[Refit]) -> list[Refit]:
@@ -116,8 +115,7 @@ def with_fewer_again(search: Search, base: Refit, refits: Sequence[Refit]) -> tu
         if MISFITTED * (cost + search.held_at(values)) < known[frozenset(c.name for c in kept)].objective
     ]
     again = (replace(r, converged=known[frozenset(r.effects)].converged) for r in search.judged(better, ROUNDS))
-    by_set = best_by_set([base, *refits, *again])
-    return next(r for r in by_set if not r.effects), [r for r in by_set if r.effects]
+    return base_and_sets([base, *refits, *again])
 
 
 def leaves_something(search: Search, refit: Refit) -> bool:

@@ -75,6 +75,12 @@ def best_by_set(refits: Sequence[Refit]) -> list[Refit]:
     return sorted(best.values(), key=lambda r: (r.objective, r.effects))
 
 
+def base_and_sets(refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+    """The best refit of the base alone, and that of each set of effects, best first."""
+    by_set = best_by_set(refits)
+    return next(r for r in by_set if not r.effects), [r for r in by_set if r.effects]
+
+
 def with_residuals(refit: Refit, residuals: Array) -> Refit:
     """The refit with residuals (R,) at its values."""
     return replace(refit, residuals=residuals, cost=float(np.mean(residuals**2)))

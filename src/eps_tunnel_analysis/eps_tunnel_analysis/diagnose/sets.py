@@ -21,7 +21,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     without,
 )
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, lowest
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, base_and_sets, best_by_set, lowest
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import tick_points
@@ -111,8 +111,7 @@ def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     near = [r for r in best_by_set([base, *refits])[:SHORTLIST] if r.cost < NEAR_BEST * max(best.cost, 1.0)]
     again = search.refit([(search.library.of(r.effects), r.values) for r in near], SETTLED_ROUNDS, "exact")
     kept = [replace(new, converged=old.converged) for old, new in zip(near, again, strict=True)]
-    by_set = best_by_set([base, *refits, *kept])
-    return next(r for r in by_set if not r.effects), [r for r in by_set if r.effects]
+    return base_and_sets([base, *refits, *kept])
 
 
 def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:

@@ -145,7 +145,8 @@ def descend(
         for row, b in enumerate(active):
             winner = int(np.argmin(costs[row]))
             if costs[row, winner] >= cost[b]:
-                promise = _promise(z[b], at[b], *jacobians[b], widths)
+                furthest = _step(z[b], at[b], *jacobians[b], widths, LEAST_DAMPED)
+                promise = _promise(z[b], at[b], *jacobians[b], furthest)
                 if cheap[b] and promise > LEAST_PROMISE * tolerance:
                     cheap[b] = False
                     del jacobians[int(b)]
@@ -157,8 +158,7 @@ def descend(
             gain = 1.0 - costs[row, winner] / cost[b]
             pick = row * len(DAMPINGS) + winner
             if cheap[b] and certain:
-                promised = 1.0 - _linear(z[b], at[b], *jacobians[b], proposals[pick]) / cost[b]
-                cheap[b] = gain >= KEPT_PROMISE * promised
+                cheap[b] = gain >= KEPT_PROMISE * _promise(z[b], at[b], *jacobians[b], proposals[pick])
             z[b], at[b], cost[b] = proposals[pick], answers[pick], costs[row, winner]
             del jacobians[int(b)]
             damping[b] = np.clip(factors[pick] / 3.0, 1e-9, 1e6)
@@ -228,15 +228,10 @@ def _jacobians(
     return slopes, len(owners)
 
 
-def _promise(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], widths: Array) -> float:
-    """Share of the cost that these slopes say can be gained."""
-    ahead = _step(z, at, jacobian, columns, widths, LEAST_DAMPED)
-    return 1.0 - _linear(z, at, jacobian, columns, ahead) / max(float(np.mean(at**2)), np.finfo(float).tiny)
-
-
-def _linear(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], ahead: Array) -> float:
-    """Cost that these slopes say is left `ahead`."""
-    return float(np.mean((at + jacobian @ (ahead - z)[columns]) ** 2))
+def _promise(z: Array, at: Array, jacobian: Array, columns: NDArray[np.int64], ahead: Array) -> float:
+    """Share of the cost that these slopes say is gained by going from z (K,) to `ahead` (K,)."""
+    left = at + jacobian @ (ahead - z)[columns]
+    return 1.0 - float(np.sum(left**2) / max(np.sum(at**2), np.finfo(float).tiny))
 
 
 def _adapted(steps: Array, slopes: Array, response: float) -> Array:
