@@ -127,8 +127,9 @@ def _visible_parts(r: Record) -> set[str]:
     seen = [h for h in r.get("hidden", ()) if h["visibility"] >= INVISIBLE]
     if len(seen) == len(r.get("hidden", ())):
         return set()
-    names = [[f"{effect}.{h['place']}" for effect in (h["effect"], *h["also"])] for h in seen]
-    return {" + ".join(sorted(chosen)) or "none" for chosen in itertools.product(*names)}
+    # Records of earlier runs have no names of their own.
+    names = [h.get("names") or [f"{effect}.{h['place']}" for effect in (h["effect"], *h["also"])] for h in seen]
+    return {_sorted(" + ".join(chosen)) or "none" for chosen in itertools.product(*names)}
 
 
 def _truths(r: Record) -> set[str]:

@@ -12,6 +12,7 @@ import pytest
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
+import counting  # noqa: E402
 from drawn_rigs import cases, files, reading  # noqa: E402
 from drawn_rigs.commands import STYLES, person  # noqa: E402
 from drawn_rigs.effects import CONTAINED_BY, FORMS, forms_of  # noqa: E402
@@ -219,6 +220,19 @@ def test_bristles_that_stand_for_friction_are_right_under_both_names(tmp_path):
     case = cases.Case(1, "pair", "labyrinth", "", (hidden, other), None, tmp_path, (), (), 100.0, 1)
     assert case.truth == "backlash.y + coulomb_friction.x" and case.as_true == ("backlash.y + lugre_friction.x",)
     assert all(set(form.also) <= set(reading.library_names()) for form in FORMS)
+
+
+def test_one_supply_is_right_at_every_axis(tmp_path):
+    """In a record, too, of which only the sag shows."""
+    sag = cases.Hidden("supply_sag", "elbow", "resistor", 0.1, 9.0, 8.0, 8.0, elsewhere=("shoulder",))
+    faint = cases.Hidden("backlash", "elbow", "contact", 0.1, 9.0, 0.1, 8.0)
+    case = cases.Case(1, "pair", "two_link_arm", "", (sag, faint), None, tmp_path, (), (), 100.0, 1)
+    assert case.truth == "backlash.elbow + supply_sag.elbow"
+    both = "supply_sag.elbow + supply_sag.shoulder"
+    assert case.as_true == ("backlash.elbow + supply_sag.shoulder", f"backlash.elbow + {both}")
+    record = case.to_json() | {"visibility": 8.0}
+    right = [name for name in (sag.name, "supply_sag.shoulder", both, faint.name) if counting.is_true(record, name)]
+    assert right == ["supply_sag.elbow", "supply_sag.shoulder", both]
 
 
 def test_left_out_is_what_contains_it_too(tmp_path):

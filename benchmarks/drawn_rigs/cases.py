@@ -54,6 +54,7 @@ class Hidden:
         visibility: the same, after all that other values of the drive and the stated ones can make up for.
         first_order: the same to first order; the strength was chosen by this.
         also: names in the library that are as right, because the form is literally theirs.
+        elsewhere: other places at which it is the same thing, as one supply feeds all axes.
         period: rad, of what goes by waves over the angle; 0 for the others.
     """
 
@@ -65,6 +66,7 @@ class Hidden:
     visibility: float
     first_order: float
     also: tuple[str, ...] = ()
+    elsewhere: tuple[str, ...] = ()
     period: float = 0.0
 
     @property
@@ -74,8 +76,11 @@ class Hidden:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Every name that is right, `name` first."""
-        return tuple(f"{effect}.{self.place}" for effect in (self.effect, *self.also))
+        """Every name that is right, `name` first, that of all places together last."""
+        places = (self.place, *self.elsewhere)
+        names = [f"{effect}.{place}" for effect in (self.effect, *self.also) for place in places]
+        every = " + ".join(sorted(f"{self.effect}.{place}" for place in places))
+        return (*names, every) if self.elsewhere else tuple(names)
 
 
 @dataclass(frozen=True)
@@ -124,14 +129,15 @@ class Case:
         """Hypotheses that are as true as `truth`, in the same way of writing."""
         if self.truth in ("none", "unknown"):
             return ()
-        every = [" + ".join(sorted(names)) for names in itertools.product(*(h.names for h in self.hidden))]
+        chosen = itertools.product(*(h.names for h in self.hidden))
+        every = [" + ".join(sorted(" + ".join(names).split(" + "))) for names in chosen]
         return tuple(name for name in every if name != self.truth)
 
     def to_json(self) -> dict[str, Any]:
         """What a record keeps of it."""
         return {
             "seed": self.seed, "kind": self.kind, "truth": self.truth, "as_true": list(self.as_true),
-            "rig": self.rig, "law": self.law, "hidden": [asdict(h) for h in self.hidden],
+            "rig": self.rig, "law": self.law, "hidden": [asdict(h) | {"names": h.names} for h in self.hidden],
             "styles": list(self.styles), "rate": self.rate,
             "trials": self.trials,
         }  # fmt: skip
@@ -327,7 +333,8 @@ def calibrated(
             # What makes trials differ hides itself: a rig's own trials are all that shows its floor.
             own = view_of(changed).beside(healthy)
             visible = _refitted(rig, before, changed, own, axis)
-        return Hidden(form.effect, place, form.name, strength, seen[0], visible, seen[1], form.also)
+        elsewhere = tuple(name for name in rig.axes if name != place) if form.everywhere else ()
+        return Hidden(form.effect, place, form.name, strength, seen[0], visible, seen[1], form.also, elsewhere)
 
     without = view.stacked(before)
     slopes, low, high, _ = _slopes(rig, before, view, without, axis)

@@ -33,6 +33,7 @@ class Form:
         outside: whether no effect of the library is of this kind.
         before: the reality against which it is visible; None for the healthy one.
         also: other names in the library that are right, because it is literally their law.
+        everywhere: whether it is the same at whatever axis it is stated.
     """
 
     effect: str
@@ -46,6 +47,7 @@ class Form:
     outside: bool = False
     before: Callable[[Reality, int], Reality] | None = None
     also: tuple[str, ...] = ()
+    everywhere: bool = False
 
 
 def _most(rig: Rig, axis: int) -> float:
@@ -397,8 +399,8 @@ FORMS: tuple[Form, ...] = (
     Form("duty_cut_back", "after a time", 1.02, 300.0, _cut_back),
     Form("torque_saturation", "hard", 1.02, 100.0, _saturation(0)),
     Form("torque_saturation", "soft", 0.2, 100.0, _saturation(1)),
-    Form("supply_sag", "resistor", 0.05, 20.0, _sag(False), fits=_two),
-    Form("supply_sag", "with capacitor", 0.05, 20.0, _sag(True), fits=_two),
+    Form("supply_sag", "resistor", 0.05, 20.0, _sag(False), fits=_two, everywhere=True),
+    Form("supply_sag", "with capacitor", 0.05, 20.0, _sag(True), fits=_two, everywhere=True),
     Form("command_delay", "fixed", 1e-4, 0.1, _delay(0.0), before=_latest),
     Form("command_delay", "jittering", 1e-4, 0.1, _delay(0.2), before=_latest),
     Form("command_quantisation", "rounded", 1e-3, 0.5, _command_tick(False)),

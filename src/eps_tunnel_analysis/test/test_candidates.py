@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from fit_cases import plays
 from small_recordings import write_rig
 
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.candidates import library, starts
 from eps_tunnel_analysis.diagnose.ticks import MOST_TICKS, PART_OF_A_TICK, every_tick
 from labyrinth_sim.errors import InputError
@@ -85,6 +87,21 @@ def test_candidates_of_a_sliding_axis_start_within_the_bounds_of_its_size(tmp_pa
 def test_an_effect_in_the_model_is_no_candidate() -> None:
     model = load_model("labyrinth_manual").with_effect("backlash", "x")
     assert "backlash.x" not in {c.name for c in library(model, []).candidates}
+
+
+def test_what_acts_on_every_axis_is_one_candidate_of_axes_that_are_judged_together() -> None:
+    model, recorded = load_model("labyrinth_manual"), plays((5.0,))
+
+    def offered(axes: str, *only: str) -> dict[str, tuple[str, ...]]:
+        part = AxisPart(tuple(axes), tuple(f"motor_{axis}" for axis in axes), ())
+        search = axis_search(model, recorded, part, SearchOptions(only, nthread=1))
+        return {c.name: c.axes for c in search.library.candidates}
+
+    assert offered("xy", "supply_sag") == {"supply_sag.x": ("x", "y")}
+    assert offered("y", "supply_sag") == {"supply_sag.y": ("y",)}
+    assert offered("xy", "supply_sag.y", "supply_sag.x").keys() == {"supply_sag.x", "supply_sag.y"}, "asked for both"
+    model = model.with_effect("supply_sag", "x")
+    assert offered("xy", "supply_sag", "constant_torque").keys() == {"constant_torque.x", "constant_torque.y"}
 
 
 def test_an_unknown_effect_is_refused_with_the_names() -> None:

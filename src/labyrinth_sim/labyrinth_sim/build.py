@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a model to a compiled MuJoCo model and the places its effects act on."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -185,12 +185,21 @@ def _plan(
         mj,
         tuple((kind, f"drive.{rig.axes[i].name}.", axis_site(rig, i, mj)) for i, kind in enumerate(kinds)),
         tuple(
-            Placed(effect, f"{effect.name}.{place}.", _site(rig, effect, place, mj))
+            Placed(effect, f"{effect.name}.{place}.", _site(rig, effect, acts_at, mj))
             for effect, place in uses
             if with_ball or effect.where != "ball"
+            for acts_at in _acts_at(rig, uses, effect, place)
         ),
         with_ball,
     )
+
+
+def _acts_at(rig: Rig, uses: Sequence[tuple[Effect, str]], effect: Effect, place: str) -> list[str]:
+    """The places where an effect acts that is stated at one: there, or on all axes that have none of their own."""
+    stated = [where for other, where in uses if other.name == effect.name]
+    if not effect.everywhere or place != stated[0]:
+        return [place]
+    return [place, *(axis.name for axis in rig.axes if axis.name not in stated)]
 
 
 def _idle(mj: mujoco.MjModel) -> int:

@@ -195,6 +195,8 @@ class Effect:
         where: what it acts on: each axis, each measured position, or the ball.
         needs: "belt", "other_axis", "hinge", "ball"; what the rig must have beyond `where`.
         couples: whether what it does to its axis depends on how the other axes move.
+        everywhere: whether it acts on every axis wherever it is stated, as the one supply of all drives does. Stated at
+            several axes, each of these has its own, and the first holds for all others.
         contains: rows of own parameter, other effect, its parameter or a number: set like that, it does what that one
             does.
         order: position among effects of the same stage, low first.
@@ -227,6 +229,7 @@ class Effect:
     where: Where = "axis"
     needs: tuple[str, ...] = ()
     couples: bool = False
+    everywhere: bool = False
     contains: tuple[tuple[str, str, str | float], ...] = ()
     order: int = 0
     exact: bool = False

@@ -16,6 +16,7 @@ from labyrinth_sim.trials import Array
 
 ACTS_ON = {"axis": "each axis", "signal": "each measured angle", "ball": "the ball"}
 COUPLED = ", by how the others move"
+EVERYWHERE = "all axes, at whichever it is stated"
 PICTURE_WIDTH = 520
 DASHED = 'stroke="#555" stroke-width="0.8" stroke-dasharray="4 3"'
 GREY = 'stroke="#999" stroke-width="1.5"'
@@ -45,7 +46,8 @@ def page() -> str:
     """The whole of docs/effects.md."""
     parts = [INTRODUCTION]
     parts.append(_table(("effect", "acts on", "changes"), [
-        (f"[{e.title}](#{e.name})", ACTS_ON[e.where] + COUPLED * e.couples, e.stage) for e in effects().values()
+        (f"[{e.title}](#{e.name})", EVERYWHERE if e.everywhere else ACTS_ON[e.where] + COUPLED * e.couples, e.stage)
+        for e in effects().values()
     ]))  # fmt: skip
     parts += ["\n".join(_section(effect)) for effect in effects().values()]
     parts.append("# Drives\n")

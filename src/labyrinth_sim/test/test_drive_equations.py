@@ -153,6 +153,18 @@ def test_supply_sag_at_a_standstill(model_of: ModelOf, drive: str) -> None:
     assert found == pytest.approx(1.5 * np.array([alone, both, -both]), abs=1e-6)
 
 
+@pytest.mark.parametrize("drive", sorted(DRIVES))
+def test_one_supply_sags_for_all_drives_at_whatever_axis_it_is_stated(model_of: ModelOf, drive: str) -> None:
+    """At full duty of both, f = 1 - 2 s f. Stated twice it does not sag twice."""
+    model, asked = model_of("pair", drive), np.array([[3.0, 3.0]])
+    for place in "ab":
+        stated = model.with_effect("supply_sag", place, {"sag": 0.8})
+        assert [torques(stated, asked, axis=axis)[0] for axis in "ab"] == pytest.approx([1.5 / 2.6] * 2, abs=1e-6)
+    both = model.with_effect("supply_sag", "b", {"sag": 0.4}).with_effect("supply_sag", "a", {"sag": 0.8})
+    found = [torques(both, asked, axis=axis)[0] for axis in "ab"]
+    assert found == pytest.approx([1.5 / 2.6, 1.5 / 1.8], abs=1e-6)
+
+
 @pytest.mark.parametrize("drive", ["torque_pd", "velocity_pid"])
 def test_supply_sag_beside_a_motor_that_gives_less(model_of: ModelOf, drive: str) -> None:
     """A drive that regulates its torque gives the share t at a duty of t / f."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, part_name, values_of
-from eps_tunnel_analysis.diagnose.candidates import Library, library
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
 from eps_tunnel_analysis.diagnose.evidence import Evidence, PlayEvidence, play_evidence
 from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Level, Search
 from eps_tunnel_analysis.fit.cluster import Spread
@@ -194,12 +194,25 @@ def axis_search(model: Model, plays: Sequence[Play], part: AxisPart, run: Search
     own = tuple(c for c in whole.candidates if c.axes and set(c.axes) <= set(part.axes))
     if prescribed(model):  # how the other joints are driven is not in it
         own = tuple(c for c in own if not c.effect.couples)
+    own = _once(own, part.axes, run.only or ())
     if ball:
         own = tuple(replace(c, axes=()) for c in whole.candidates if on_ball(c.effect))
     for candidate in whole.candidates:
         if candidate.name not in [c.name for c in own]:
             whole = replace(whole, model=whole.model.without_effect(candidate.effect.name, candidate.place))
     return search_of(Library(whole.model, part.base, own, part.rough), plays, part, run)
+
+
+def _once(candidates: Sequence[Candidate], axes: tuple[str, ...], asked: Sequence[str]) -> tuple[Candidate, ...]:
+    """The candidates, of each effect that acts on all axes wherever it is stated only the first, and those asked for by
+    name and place.
+    """
+    first = {c.effect.name: c for c in reversed(candidates)}
+    return tuple(
+        replace(c, axes=axes) if c.effect.everywhere else c
+        for c in candidates
+        if not c.effect.everywhere or c is first[c.effect.name] or c.name in asked
+    )
 
 
 def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOptions) -> Search:

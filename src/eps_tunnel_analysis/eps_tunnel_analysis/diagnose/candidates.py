@@ -106,6 +106,7 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
     """
     model.registry.check(only or ())
     present = {(use.effect.name, use.place) for use in model.effects}
+    stated = {name for name, _ in present}
     candidates: list[Candidate] = []
     chosen = None if only is None else set(only)
     for effect in model.registry.effects.values():
@@ -115,7 +116,7 @@ def library(model: Model, base: Sequence[str], with_ball: bool = False, only: It
             continue
         for place in model.places(effect):
             wanted = chosen is None or effect.name in chosen or f"{effect.name}.{place}" in chosen
-            if not wanted or (effect.name, place) in present:
+            if not wanted or (effect.name, place) in present or (effect.everywhere and effect.name in stated):
                 continue
             model = model.with_effect(effect, place, effect.off, "switched off")
             candidates.append(candidate(model, effect, place))

@@ -103,6 +103,7 @@ EFFECT = Effect(
     ),
     separated_by="Step one axis alone, then both together: only sag makes the first slower because of the second.",
     couples=True,
+    everywhere=True,
     touches=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     step=step,
 )
