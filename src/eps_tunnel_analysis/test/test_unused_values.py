@@ -48,3 +48,21 @@ def test_of_two_forms_that_fit_alike_the_one_with_fewer_free_values_is_likelier(
     assert simple_of(1) > 0.9
     assert simple_of(1, its=1) > 0.9  # where the general one has a value at a bound, it acts as the simple one
     assert simple_of(1, "another.x") == pytest.approx(0.5, abs=0.02)  # that one is no form of it
+
+
+def test_a_general_form_that_leaves_noise_is_no_worse_beside_others_for_having_a_simple_one() -> None:
+    """What the simple form leaves is here within what a form of another effect may."""
+    noise = np.repeat(np.random.default_rng(0).standard_normal(SAMPLES // 10), 10)
+    noise /= np.sqrt(np.mean(noise**2))
+    folds = np.arange(SAMPLES) * FOLDS // SAMPLES
+
+    def one(effects: tuple[str, ...], left: float, free: int, unused: int = 0) -> Hypothesis:
+        residuals = np.sqrt(left) * noise
+        refit = Refit(effects, np.zeros(1), residuals, float(np.mean(residuals**2)), free, True)
+        contains = (frozenset({"simple.x"}),) if effects == ("general.x",) else ()
+        return Hypothesis(refit, residuals, contains, unused=unused)
+
+    base, general, other = one((), 110.0, 5), one(("general.x",), 1.1, 7), one(("other.x",), 1.1, 7)
+    for simple in ([], [one(("simple.x",), 2.9, 7, unused=1)]):
+        found = rank(base, [general, other, *simple], folds, np.zeros(SAMPLES, np.int64), tried=10).probabilities
+        assert found["general.x"] == pytest.approx(found["other.x"], rel=0.5)

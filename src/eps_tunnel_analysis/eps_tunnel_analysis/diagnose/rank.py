@@ -330,12 +330,11 @@ def _probabilities(
     beyond_noise = np.maximum(before - 1.0, 0.0)
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
-    scores = _no_better_than_simpler(hypotheses, scores, remaining, beyond_noise, kept)
-    scores = _no_better_than_complete(hypotheses, scores, costs[:, 1:], remaining, worth, unit)
+    scores = _between_forms(hypotheses, scores, costs[:, 1:], remaining, beyond_noise, kept, worth, unit)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
-    values = np.array([max(h.refit.free - bare.refit.free, 0) for h in hypotheses]) + _beyond_simpler(hypotheses)
-    scores -= 0.5 * np.log(max(worth, 1.0)) * values
+    values = _free_values(hypotheses) - bare.refit.free
+    scores -= 0.5 * np.log(max(worth, 1.0)) * np.maximum(values, 0)
     needed = _needed(hypotheses, base, remaining, beyond_noise, kept, unit)
     scores += np.log(np.maximum(needed, 1e-300))
     # A value far from the stated one counts as evidence like a misfit.
@@ -403,47 +402,36 @@ def _needed(
     return needed
 
 
-def _no_better_than_simpler(
-    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, misfit: Array, kept: Array
-) -> Array:
-    """Scores (d, h) with none above that of a simpler form of the same effects, unless it explains materially more.
+def _between_forms(
+    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, worst: Array, misfit: Array, kept: Array,
+    worth: float, unit: float,
+) -> Array:  # fmt: skip
+    """Scores (d, h) of general and of simple forms of the same effects, by what they leave on the worst signal.
 
-    Then the number of their values decides between the two forms.
+    Where the general one leaves no more than a healthy rig does, and the simple one more, what is between them is not
+    an error of another effect's form: the simple one is lowered as far as the noise says. Elsewhere the general one is
+    no better than the simple one, unless it explains materially more; then the number of their values decides.
     """
-    capped = scores.copy()
+    capped, completes = scores.copy(), {}
     for i, j in _forms(hypotheses):
-        more = _materially(costs[:, j] - costs[:, i], misfit, kept[j])
+        gain = worst[:, j] - worst[:, i]
+        general, simple = (_above(worst[:, k] * unit, SETTINGS.healthy) for k in (i, j))
+        completes[i, j] = (1.0 - general) * simple * _above(gain * unit, SETTINGS.material)
+        more = np.maximum(_materially(gain, misfit, kept[j]), completes[i, j])
         alike = np.minimum(scores[:, i], scores[:, j])
         capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
-    return capped
-
-
-def _beyond_simpler(hypotheses: Sequence[Hypothesis]) -> NDArray[np.int64]:
-    """(h,) how many values more each general form uses than a simple one that has some at a bound, where they are not
-    free. All of its own count: with one of them at a bound, it acts as the simple form.
-    """
-    beyond = np.zeros(len(hypotheses), dtype=np.int64)
-    for i, j in _forms(hypotheses):
-        beyond[i] = max(beyond[i], hypotheses[j].unused)
-    return beyond
-
-
-def _no_better_than_complete(
-    hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, worst: Array, worth: float, unit: float
-) -> Array:
-    """Scores (d, h) with those of simple forms lowered as far as the noise says, where a more general form of the same
-    effects leaves no more than a healthy rig does, and the simple one more.
-
-    What the general form explains to the noise is not an error of another effect's form.
-    """
-    capped = scores.copy()
-    for i, j in _forms(hypotheses):
-        general, simple = (_above(worst[:, k] * unit, SETTINGS.healthy) for k in (i, j))
-        matters = _above((worst[:, j] - worst[:, i]) * unit, SETTINGS.material)
-        surely = (1.0 - general) * simple * matters
+    for (i, j), surely in completes.items():
         worse = 0.5 * worth * np.maximum(_surprise(costs[:, j]) - _surprise(costs[:, i]), 0.0)
         capped[:, j] = np.minimum(capped[:, j], surely * (scores[:, i] - worse) + (1.0 - surely) * capped[:, j])
     return capped
+
+
+def _free_values(hypotheses: Sequence[Hypothesis]) -> NDArray[np.int64]:
+    """(h,) how many values of each count. Of a simple form beside a general one those at a bound do not, for they are not
+    free; of the general one they do, for with a value at its bound it acts as the simple one.
+    """
+    general, simple = ({pair[k] for pair in _forms(hypotheses)} for k in (0, 1))
+    return np.array([h.refit.free - h.unused * (i in simple - general) for i, h in enumerate(hypotheses)])
 
 
 def _forms(hypotheses: Sequence[Hypothesis]) -> Iterator[tuple[int, int]]:
