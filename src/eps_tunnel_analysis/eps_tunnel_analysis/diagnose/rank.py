@@ -427,8 +427,8 @@ def _between_forms(
 
 
 def _free_values(hypotheses: Sequence[Hypothesis]) -> NDArray[np.int64]:
-    """(h,) how many values of each count. Of a simple form beside a general one those at a bound do not, for they are not
-    free; of the general one they do, for with a value at its bound it acts as the simple one.
+    """(h,) how many values count. Of a simple form beside a general one those at a bound do not, as they are not
+    free; of the general one they do, as with a value at its bound it acts as the simple one.
     """
     general, simple = ({pair[k] for pair in _forms(hypotheses)} for k in (0, 1))
     return np.array([h.refit.free - h.unused * (i in simple - general) for i, h in enumerate(hypotheses)])
