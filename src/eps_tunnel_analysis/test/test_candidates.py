@@ -40,6 +40,12 @@ def test_each_of_several_limits_is_tried_by_itself() -> None:
     assert (acceleration & ~speed).any() and (speed & ~acceleration).any() and (acceleration & speed).any()
 
 
+def test_a_limit_that_may_lie_in_any_of_many_decades_is_tried_in_each() -> None:
+    found = library(load_model("labyrinth_manual"), [], only=["rate_limit"]).find("rate_limit.x")
+    (rate,), tried = found.declared, np.sort(starts(found)[:, 0])
+    assert np.ptp(np.diff(np.log10([rate.low, *tried, rate.high]))) < 1e-9 and tried[1] < 2.3 * tried[0]
+
+
 def test_ticks_start_at_whole_multiples_of_a_known_one() -> None:
     model = load_model("labyrinth_mx64")
     register = model.values()["drive.x.goal_tick"]

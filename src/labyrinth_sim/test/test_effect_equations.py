@@ -129,7 +129,7 @@ def test_motion_profile(model_of: ModelOf, way: float, takes: float) -> None:
 
 
 def test_a_profile_without_a_limit_on_the_acceleration_limits_the_rate(model_of: ModelOf) -> None:
-    model = model_of("pair").with_effect("motion_profile", "a", {"acceleration": 500.0, "speed": 3.0})
+    model = model_of("pair").with_effect("motion_profile", "a", {"acceleration": 5000.0, "speed": 3.0})
     travelled = np.minimum(0.25, 3.0 * np.linspace(0.0, 0.4, 40 * 1000, endpoint=False))
     assert seen(model, np.full(40, 0.25)) == pytest.approx(travelled.reshape(40, 1000).mean(axis=1), abs=1e-4)
 

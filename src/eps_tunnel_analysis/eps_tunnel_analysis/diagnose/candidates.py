@@ -18,7 +18,8 @@ from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 
 FACTORS = (0.1, 0.3, 1.0, 3.0)  # times an effect's typical strength
-LIMITS = 7  # values of a limit, as of a torque's
+LIMITS = 7  # values of a limit, as of a torque's, at least
+LIMITS_PER_DECADE = 3
 TICKS_APART = 1.056  # times the next finer one: the valley of a tick is some 4 % wide, and its edges show
 FINEST_TICK = 0.05  # of the typical one; the coarsest
 COARSEST_TICK = 0.95  # of the largest
@@ -251,10 +252,12 @@ def _ladders(switching: Sequence[Parameter]) -> Iterator[Array]:
     each by itself and together.
     """
     if all(p.off == p.high and p.low > 0 for p in switching):
-        together = np.column_stack([np.geomspace(p.low, p.high, LIMITS + 2)[1:-1] for p in switching])
+        decades = max(np.log10(p.high / p.low) for p in switching)
+        count = max(LIMITS, round(LIMITS_PER_DECADE * decades) - 1)
+        together = np.column_stack([np.geomspace(p.low, p.high, count + 2)[1:-1] for p in switching])
         yield together
         for k in range(len(switching)):
-            alone = np.tile([p.high for p in switching], (LIMITS, 1))
+            alone = np.tile([p.high for p in switching], (count, 1))
             alone[:, k] = together[:, k]
             yield alone
         return

@@ -410,7 +410,8 @@ def _between_forms(
 
     Where the general one leaves no more than a healthy rig does, and the simple one more, what is between them is not
     an error of another effect's form: the simple one is lowered as far as the noise says. Elsewhere the general one is
-    no better than the simple one, unless it explains materially more; then the number of their values decides.
+    no better than the simple one, unless it explains materially more; then the number of their values decides. With the
+    values at their bounds that it has beyond the simple one, it is that one, and counts only for what it explains more.
     """
     capped, completes = scores.copy(), {}
     for i, j in _forms(hypotheses):
@@ -420,10 +421,17 @@ def _between_forms(
         more = np.maximum(_materially(gain, misfit, kept[j]), completes[i, j])
         alike = np.minimum(scores[:, i], scores[:, j])
         capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
+        if _acts_as(hypotheses[i], hypotheses[j]):
+            capped[:, i] += np.log(np.maximum(more, 1e-300))
     for (i, j), surely in completes.items():
         worse = 0.5 * worth * np.maximum(_surprise(costs[:, j]) - _surprise(costs[:, i]), 0.0)
         capped[:, j] = np.minimum(capped[:, j], surely * (scores[:, i] - worse) + (1.0 - surely) * capped[:, j])
     return capped
+
+
+def _acts_as(general: Hypothesis, simple: Hypothesis) -> bool:
+    """Whether as many of a general form's values lie at a bound as it has beyond those that a simple one uses."""
+    return 0 < general.unused >= general.refit.free - (simple.refit.free - simple.unused)
 
 
 def _free_values(hypotheses: Sequence[Hypothesis]) -> NDArray[np.int64]:

@@ -8,8 +8,8 @@ from labyrinth_sim.filters import Profile
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
-FREE_ACCELERATION = 500.0  # rad/s^2
-FREE_SPEED = 20.0  # rad/s
+FREE_ACCELERATION = 5000.0  # rad/s^2
+FREE_SPEED = 200.0  # rad/s
 
 
 def command(values: Values, site: Site, step: float, start: Array) -> Profile:
@@ -31,8 +31,9 @@ EFFECT = Effect(
             FREE_ACCELERATION,
             FREE_ACCELERATION,
             10.0,
-            "one unit of Dynamixel's profile register (0.37) to beyond the largest of Feetech's (39)",
+            "one unit of Dynamixel's profile register (0.37), whose largest is 12000, to what hardly shows",
             fixed="bounds",
+            span=500.0,
         ),
         Parameter(
             "speed",
@@ -41,8 +42,9 @@ EFFECT = Effect(
             FREE_SPEED,
             FREE_SPEED,
             5.0,
-            "crawling to faster than any servo of this class turns",
+            "crawling to what hardly shows: a step of 1 rad takes 5 ms",
             fixed="bounds",
+            span=20.0,
         ),
     ),
     stage="command",

@@ -6,7 +6,7 @@ from labyrinth_sim.filters import RateLimit
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
-FREE = 20.0  # rad/s
+FREE = 200.0  # rad/s
 
 
 def command(values: Values, site: Site, step: float, start: Array) -> RateLimit:
@@ -26,8 +26,9 @@ EFFECT = Effect(
             FREE,
             FREE,
             0.5,
-            "crawling to faster than any servo of this class turns (12 rad/s)",
+            "crawling to what hardly shows: a step of 1 rad takes 5 ms",
             fixed="bounds",
+            span=20.0,
         ),
     ),
     stage="command",
