@@ -31,6 +31,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_stated": "stated values may be simply wrong",
     "diagnosis_order": "pairs grow from the best effect; general and simple forms start from one another",
     "diagnosis_settled": "descents at short steps take their own slopes; those near the best go on until they rest",
+    "diagnosis_supply": "one supply for all axes; simple forms hold no general one back",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
