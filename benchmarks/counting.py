@@ -92,7 +92,7 @@ def is_right(r: Record) -> bool:
 
 def is_undecided(r: Record) -> bool:
     """Whether the verdict leaves it open, with the truth in the stated set."""
-    return r["verdict"] == "undecided" and bool(_truths(r) & {_sorted(name) for name in r["stated"]})
+    return r["verdict"] == "undecided" and bool(_truths(r) & {spelled(name) for name in r["stated"]})
 
 
 def is_wrong(r: Record) -> bool:
@@ -112,13 +112,13 @@ def likeliest(r: Record) -> tuple[str, float]:
 
 def is_true(r: Record, hypothesis: str) -> bool:
     """Whether a hypothesis holds: the truth, or what is visible of it, "none" if nothing is."""
-    if _sorted(hypothesis) in _truths(r):
+    if spelled(hypothesis) in _truths(r):
         return True
     if hypothesis in ("overlooked", "imitated"):
         foreign = _truths(r) & ({"none", "unknown"} if hypothesis == "overlooked" else {"none"})
         return not foreign and not any(is_true(r, name) for name in r["set"] if name not in NAMELESS)
     if r["kind"] == "pair":
-        return _sorted(hypothesis) in _visible_parts(r)
+        return spelled(hypothesis) in _visible_parts(r)
     return bool(r["kind"] != "healthy" and r["visibility"] < INVISIBLE and hypothesis == "none")
 
 
@@ -129,14 +129,15 @@ def _visible_parts(r: Record) -> set[str]:
         return set()
     # Records of earlier runs have no names of their own.
     names = [h.get("names") or [f"{effect}.{h['place']}" for effect in (h["effect"], *h["also"])] for h in seen]
-    return {_sorted(" + ".join(chosen)) or "none" for chosen in itertools.product(*names)}
+    return {spelled(" + ".join(chosen)) or "none" for chosen in itertools.product(*names)}
 
 
 def _truths(r: Record) -> set[str]:
     return {r["truth"], *r.get("as_true", ())}
 
 
-def _sorted(hypothesis: str) -> str:
+def spelled(hypothesis: str) -> str:
+    """The name of a set with its effects in alphabetical order, as a truth is written."""
     return " + ".join(sorted(hypothesis.split(" + ")))
 
 

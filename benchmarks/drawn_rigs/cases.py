@@ -9,6 +9,7 @@ from pathlib import Path as File
 from typing import Any
 
 import numpy as np
+from counting import spelled
 from scipy.optimize import least_squares, lsq_linear
 
 from drawn_rigs.commands import SHARES, STYLES
@@ -129,8 +130,7 @@ class Case:
         """Hypotheses that are as true as `truth`, in the same way of writing."""
         if self.truth in ("none", "unknown"):
             return ()
-        chosen = itertools.product(*(h.names for h in self.hidden))
-        every = [" + ".join(sorted(" + ".join(names).split(" + "))) for names in chosen]
+        every = [spelled(" + ".join(names)) for names in itertools.product(*(h.names for h in self.hidden))]
         return tuple(name for name in every if name != self.truth)
 
     def to_json(self) -> dict[str, Any]:

@@ -15,6 +15,13 @@ from eps_tunnel_analysis.diagnose.refits import Refit
 SAMPLES, FOLDS = 1200, 16
 
 
+def leaving(residuals: np.ndarray, effects: tuple[str, ...], free: int, unused: int) -> Hypothesis:
+    """A hypothesis that leaves residuals (SAMPLES,); general.x contains simple.x."""
+    refit = Refit(effects, np.zeros(1), residuals, float(np.mean(residuals**2)), free, True)
+    contains = (frozenset({"simple.x"}),) if effects == ("general.x",) else ()
+    return Hypothesis(refit, residuals, contains, unused=unused)
+
+
 @pytest.mark.parametrize(("slow", "unused"), [(0.0, 1), (0.05, 0)])
 def test_friction_that_sets_in_at_once_has_one_value_less(slow: float, unused: int) -> None:
     recorded = plays((3.0, -2.0), TRUTH)
@@ -34,10 +41,7 @@ def test_of_two_forms_that_fit_alike_the_one_with_fewer_free_values_is_likelier(
     noise = np.random.default_rng(0).standard_normal(SAMPLES)
 
     def one(effects: tuple[str, ...], size: float, free: int, unused: int = 0) -> Hypothesis:
-        residuals = size * noise
-        refit = Refit(effects, np.zeros(1), residuals, float(np.mean(residuals**2)), free, True)
-        contains = (frozenset({"simple.x"}),) if effects == ("general.x",) else ()
-        return Hypothesis(refit, residuals, contains, unused=unused)
+        return leaving(size * noise, effects, free, unused)
 
     def simple_of(unused: int, other: str = "general.x", its: int = 0) -> float:
         both = [one(("simple.x",), 1.0, 7, unused), one((other,), 1.0, 7, its)]
@@ -57,10 +61,7 @@ def test_a_general_form_that_leaves_noise_is_no_worse_beside_others_for_having_a
     folds = np.arange(SAMPLES) * FOLDS // SAMPLES
 
     def one(effects: tuple[str, ...], left: float, free: int, unused: int = 0) -> Hypothesis:
-        residuals = np.sqrt(left) * noise
-        refit = Refit(effects, np.zeros(1), residuals, float(np.mean(residuals**2)), free, True)
-        contains = (frozenset({"simple.x"}),) if effects == ("general.x",) else ()
-        return Hypothesis(refit, residuals, contains, unused=unused)
+        return leaving(np.sqrt(left) * noise, effects, free, unused)
 
     base, general, other = one((), 110.0, 5), one(("general.x",), 1.1, 7), one(("other.x",), 1.1, 7)
     for simple in ([], [one(("simple.x",), 2.9, 7, unused=1)]):
