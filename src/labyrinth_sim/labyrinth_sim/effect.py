@@ -102,6 +102,7 @@ class Parameter:
         settled: kept as stated where the effect belongs to the model, and searched only where it may be missing.
         span: a large change of the value, where the bounds lie much further apart than that: a search takes its steps
             in shares of it. 0 for the distance of the bounds.
+        looked: False where a search begins with the typical value alone, and a descent finds what fits better.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Parameter:
     fitted: bool = True
     span: float = 0.0
     settled: bool = False
+    looked: bool = True
 
     def __post_init__(self) -> None:
         if not self.low <= self.typical <= self.high or not (self.off is None or self.low <= self.off <= self.high):

@@ -37,8 +37,8 @@ Addresses = NDArray[np.int64]
 DATA = ("qpos", "qvel", "qfrc_applied", "qfrc_actuator", "qfrc_bias", "qfrc_passive", "ctrl", "ten_length",
         "ten_velocity")  # fmt: skip
 MODEL = ("dof_damping", "dof_frictionloss", "tendon_damping", "actuator_gainprm", "actuator_biasprm",
-         "actuator_forcerange", "dof_armature")  # fmt: skip
-PLACE = ("channel", "actuator", "dof", "qpos", "load_dof", "tendon")
+         "actuator_forcerange", "dof_armature", "jnt_actfrcrange")  # fmt: skip
+PLACE = ("channel", "actuator", "dof", "qpos", "load_dof", "tendon", "joint")
 DRIVE = ("actuator", "dof", "qpos", "emf", "by_duty")
 MEMORY = 16  # numbers that a law may keep from step to step
 MOST_VALUES = 32
@@ -49,8 +49,8 @@ MOST_SUM = (
 State = namedtuple(
     "State",
     "qpos qvel applied actuator bias passive ctrl length rate "
-    "damping frictionloss belt_damping gain act_bias limits armature base_gain base_bias base_limits "
-    "error channel drive dof angle load_dof tendon drives values memory step",
+    "damping frictionloss belt_damping gain act_bias limits armature joint_limits base_gain base_bias base_limits "
+    "error channel drive dof angle load_dof tendon joint drives values memory step",
 )
 """One simulation before a step, as a law sees it; arrays that it may write are set back before the next one.
 
@@ -61,11 +61,12 @@ Attributes:
         gravity, on the other side of the equation; of springs and dampers.
     ctrl (nu,): of the actuators, for this step.
     length, rate (ntendon,): of the belts, rad, rad/s, as of the last step.
-    damping, frictionloss, armature (nv,), belt_damping (ntendon,), gain, act_bias (nu, 10), limits (nu, 2): of the
-        model; those of the actuators before any law are base_gain, base_bias, base_limits.
+    damping, frictionloss, armature (nv,), belt_damping (ntendon,), gain, act_bias (nu, 10), limits (nu, 2),
+        joint_limits (njnt, 2): of the model, the limits being those of each actuator, and of all of a joint together;
+        those of the actuators before any law are base_gain, base_bias, base_limits.
     error (u,): rad, of each drive, as it sees it.
-    channel, drive, dof, angle, load_dof, tendon: where the effect acts: its axis, and the actuator, degree of freedom
-        and coordinate of its joint; -1 where there is no such thing.
+    channel, drive, dof, angle, load_dof, tendon, joint: where the effect acts: its axis, and the actuator, degree of
+        freedom and coordinate of its joint; -1 where there is no such thing.
     drives (u, 5): actuator, degree of freedom, coordinate, back-EMF actuator (or -1) of each axis, and whether it
         sets a duty.
     values: of the effect's parameters, in their order.
@@ -144,9 +145,9 @@ _call_step: Any = intrinsic(_to_step)
 def state(raw: int) -> State:
     """What a law sees: `raw` is the one argument that it gets."""
     head = numba.carray(_integers(raw), (7,))
-    at = numba.carray(_integers(head[0]), (20,))
-    n = numba.carray(_integers(head[1]), (5,))  # nq, nv, nu, ntendon, drives
-    place = numba.carray(_integers(head[2]), (6,))
+    at = numba.carray(_integers(head[0]), (21,))
+    n = numba.carray(_integers(head[1]), (6,))  # nq, nv, nu, ntendon, drives, njnt
+    place = numba.carray(_integers(head[2]), (7,))
     rest = numba.carray(_doubles(head[5]), (1,))
     nq, nv, nu, nt, u = n[0], n[1], n[2], n[3], n[4]
     return State(
@@ -159,9 +160,10 @@ def state(raw: int) -> State:
         numba.carray(_doubles(at[11]), (nt,)), numba.carray(_doubles(at[12]), (nu, 10)),
         numba.carray(_doubles(at[13]), (nu, 10)), numba.carray(_doubles(at[14]), (nu, 2)),
         numba.carray(_doubles(at[15]), (nv,)),
-        numba.carray(_doubles(at[16]), (nu, 10)), numba.carray(_doubles(at[17]), (nu, 10)),
-        numba.carray(_doubles(at[18]), (nu, 2)), numba.carray(_doubles(at[19]), (u,)),
-        place[0], place[1], place[2], place[3], place[4], place[5],
+        numba.carray(_doubles(at[16]), (n[5], 2)),
+        numba.carray(_doubles(at[17]), (nu, 10)), numba.carray(_doubles(at[18]), (nu, 10)),
+        numba.carray(_doubles(at[19]), (nu, 2)), numba.carray(_doubles(at[20]), (u,)),
+        place[0], place[1], place[2], place[3], place[4], place[5], place[6],
         numba.carray(_integers(head[6]), (u, 5)),
         numba.carray(_doubles(head[3]), (MOST_VALUES,)), numba.carray(_doubles(head[4]), (MEMORY,)), rest[0],
     )  # fmt: skip

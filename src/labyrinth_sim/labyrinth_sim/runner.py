@@ -11,7 +11,19 @@ from numpy.typing import NDArray
 from labyrinth_sim.build import Placed, Plan
 from labyrinth_sim.command_steps import CommandSteps, StepTorques
 from labyrinth_sim.effect import Values
-from labyrinth_sim.law import DATA, MEMORY, MODEL, MOST_SUM, MOST_VALUES, Addresses, Law, apply, roll, step_address
+from labyrinth_sim.law import (
+    DATA,
+    MEMORY,
+    MODEL,
+    MOST_SUM,
+    MOST_VALUES,
+    PLACE,
+    Addresses,
+    Law,
+    apply,
+    roll,
+    step_address,
+)
 from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.servo import back_emf_actuator
 from labyrinth_sim.trials import Array
@@ -48,15 +60,15 @@ class Laws:
         self.memory = np.zeros((nsim, len(placed), MEMORY))
         sites = [p.site for p, _, _ in placed]
         self.places = np.array(
-            [[s.channel, s.actuator, s.dof, s.qpos, s.load_dof, s.tendon] for s in sites], dtype=np.int64
-        ).reshape(len(sites), 6)
+            [[s.channel, s.actuator, s.dof, s.qpos, s.load_dof, s.tendon, s.joint] for s in sites], dtype=np.int64
+        ).reshape(len(sites), len(PLACE))
         self.touches = sorted({name for p, _, _ in placed for name in p.effect.touches})
         mj = plan.mj
         self.drives = np.array(
             [[s.actuator, s.dof, s.qpos, back_emf_actuator(s), drive.by_duty] for drive, _, s in plan.drives],
             dtype=np.int64,
         )
-        self.sizes = np.array([mj.nq, mj.nv, mj.nu, mj.ntendon, len(plan.drives)], dtype=np.int64)
+        self.sizes = np.array([mj.nq, mj.nv, mj.nu, mj.ntendon, len(plan.drives), mj.njnt], dtype=np.int64)
         self.step = np.zeros(1)
         self.error = np.zeros((nsim, len(plan.drives)))
         self._outside: tuple[Addresses, Addresses] | None = None  # tables and arguments for `apply_*`
@@ -96,7 +108,8 @@ class Laws:
             apply(self.codes[which][own], self._outside[1][i : i + 1, which][:, own])
 
     def _table(self, live: Live, fields: Fields, i: int) -> Addresses:
-        model = {name: fields[name][i] if name in self.touches else getattr(fields.model, name) for name in MODEL}
+        own = {*self.touches, *fields.used}
+        model = {name: fields[name][i] if name in own else getattr(fields.model, name) for name in MODEL}
         base = [live.base[name][i] if name in live.base else getattr(fields.model, name) for name in BASE]
         arrays = [*(getattr(live, name)[i] for name in NAMED), *model.values(), *base, self.error[i]]
         return np.array([a.ctypes.data for a in arrays], dtype=np.int64)

@@ -171,11 +171,31 @@ def test_dead_band(model_of: ModelOf, drive: str, jump: float, near: float, far:
     assert torques(model, [0.0, 0.04, -0.04, 0.06, 0.2, -0.2]) == pytest.approx([0, 0, 0, near, far, -far], abs=1e-9)
 
 
-@checks("torque_saturation", "|torque| <= s torque_max; of a drive that knows no current, |duty| <= s")
+@checks(
+    "torque_saturation",
+    "|torque| <= s torque_max; of a drive that knows no current, |duty| <= s; "
+    "x / (1 + x^(1/r))^r of the limit where x of it is asked for, r > 0 being the softness",
+)
 @pytest.mark.parametrize("drive", sorted(DRIVES))
 def test_torque_saturation(model_of: ModelOf, drive: str) -> None:
     model = model_of("pair", drive).with_effect("torque_saturation", "a", {"share": 0.4})
     assert torques(model, [0.1, 0.2, -0.1, -0.2]) == pytest.approx([0.4, 0.6, -0.4, -0.6], abs=1e-9)
+    soft = model.with_values({"torque_saturation.a.softness": 0.5})
+    asked = np.array([0.1, 0.15, 0.3, -0.1, -0.3]) / 0.15
+    expected = 0.6 * asked / np.sqrt(1.0 + asked**2)
+    assert torques(soft, [0.1, 0.15, 0.3, -0.1, -0.3]) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("drive", ["torque_pd", "velocity_pid"])
+@pytest.mark.parametrize("speed", [0.5, -0.5])
+def test_a_soft_limit_of_the_current_is_one_of_the_law(model_of: ModelOf, drive: str, speed: float) -> None:
+    """Back-EMF takes nothing of what the law asks for, far below the torque-speed line."""
+    model = model_of("horn", drive).with_values({"drive.a.back_emf": 0.2})
+    asked = torques(model, [0.2], 1e-4, a_speed=speed)[0]
+    assert 0.2 < abs(asked) < 1.4
+    model = model.with_effect("torque_saturation", "a", {"share": 0.4, "softness": 0.5})
+    expected = asked / math.sqrt(1.0 + (asked / 0.6) ** 2)
+    assert torques(model, [0.2], 1e-4, a_speed=speed)[0] == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize("drive", ["torque_pd", "velocity_pid"])
@@ -192,6 +212,10 @@ def test_a_limited_current_leaves_the_torque_to_back_emf_at_high_speed_only(
 def test_a_limited_duty_leaves_the_torque_to_back_emf_at_any_speed(model_of: ModelOf) -> None:
     model = model_of("horn", "pwm_servo").with_effect("torque_saturation", "a", {"share": 0.4})
     assert torques(model, [9.0], 1e-4, a_speed=2.0)[0] == pytest.approx(0.5 * (0.4 * 6.0 - 0.5 * 2.0) / 2.0, abs=1e-9)
+    soft = model.with_values({"torque_saturation.a.softness": 0.5})
+    asked = (torques(model, [0.1], 1e-4, a_speed=2.0)[0] + 0.25) / 0.6
+    expected = 0.6 * asked / math.sqrt(1.0 + asked**2) - 0.25
+    assert torques(soft, [0.1], 1e-4, a_speed=2.0)[0] == pytest.approx(expected, rel=1e-4)
 
 
 # Friction: with the drive off nothing else acts, and what the speed loses is the torque over the inertia. MuJoCo takes

@@ -102,7 +102,7 @@ def test_a_step_with_nothing_to_do_is_left_out(name: str, tmp_path: Path) -> Non
     model = load_model("two_link_arm")
     effect = model.registry.effects[name]
     needed = next(p for p in effect.parameters if p.name == effect.steps_with)
-    says = "gradual_damping" if effect.step else "s.error[s.channel] +="
+    says = f"def {name}_{'step' if effect.step else 'error'}("
     assert says not in export(model.with_effect(name, "elbow", {needed.name: 0.0})).module
     acting = model.with_effect(name, "elbow", {needed.name: 0.5 * needed.high})
     assert says in export(acting).module

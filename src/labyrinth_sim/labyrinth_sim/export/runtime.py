@@ -53,7 +53,8 @@ class ExportedState:
             "bias": data.qfrc_bias, "passive": data.qfrc_passive, "ctrl": data.ctrl, "length": data.ten_length,
             "rate": data.ten_velocity, "damping": model.dof_damping, "frictionloss": model.dof_frictionloss,
             "belt_damping": model.tendon_damping, "gain": model.actuator_gainprm, "act_bias": model.actuator_biasprm,
-            "limits": model.actuator_forcerange, "base_gain": bases[0], "base_bias": bases[1], "base_limits": bases[2],
+            "limits": model.actuator_forcerange, "joint_limits": model.jnt_actfrcrange,
+            "base_gain": bases[0], "base_bias": bases[1], "base_limits": bases[2],
             "error": np.zeros(len(sites)), "step": float(model.opt.timestep),
             "drives": np.array(
                 [[s.actuator, s.dof, s.qpos, a, int(d.by_duty)] for s, a, d in zip(sites, second, drives, strict=True)]
@@ -65,8 +66,8 @@ class ExportedState:
         """What one effect's law is given."""
         return SimpleNamespace(
             **self.shared, channel=site.channel, drive=site.actuator, dof=site.dof, angle=site.qpos,
-            load_dof=site.load_dof, tendon=site.tendon, values=np.array([v[0] for v in values.values()]),
-            memory=np.zeros(8),
+            load_dof=site.load_dof, tendon=site.tendon, joint=site.joint,
+            values=np.array([v[0] for v in values.values()]), memory=np.zeros(8),
         )  # fmt: skip
 
     def restore(self):
