@@ -46,6 +46,13 @@ def test_a_limit_that_may_lie_in_any_of_many_decades_is_tried_in_each() -> None:
     assert np.ptp(np.diff(np.log10([rate.low, *tried, rate.high]))) < 1e-9 and tried[1] < 2.3 * tried[0]
 
 
+def test_a_value_starts_where_its_effect_declares() -> None:
+    found = library(load_model("labyrinth_manual"), [], only=["duty_cut_back", "torque_saturation"])
+    cut, limit = (starts(found.find(f"{name}.x")) for name in ("duty_cut_back", "torque_saturation"))
+    assert len(np.unique(cut[:, 2])) > 3 and ((cut[:, 2] > 0.0) & (cut[:, 2] < 0.1)).any(), "most are fast"
+    assert len(limit) > 3 and not limit[:, 1].any(), "a descent finds how soft a limit is"
+
+
 def test_ticks_start_at_whole_multiples_of_a_known_one() -> None:
     model = load_model("labyrinth_mx64")
     register = model.values()["drive.x.goal_tick"]

@@ -102,7 +102,7 @@ class Parameter:
         settled: kept as stated where the effect belongs to the model, and searched only where it may be missing.
         span: a large change of the value, where the bounds lie much further apart than that: a search takes its steps
             in shares of it. 0 for the distance of the bounds.
-        looked: False where a search begins with the typical value alone, and a descent finds what fits better.
+        begin: values from which a search begins, where it is not to spread them between the bounds.
     """
 
     name: str
@@ -116,11 +116,13 @@ class Parameter:
     fitted: bool = True
     span: float = 0.0
     settled: bool = False
-    looked: bool = True
+    begin: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.low <= self.typical <= self.high or not (self.off is None or self.low <= self.off <= self.high):
             raise InputError(f"Parameter {self.name}: typical and off must lie within [{self.low:g}, {self.high:g}].")
+        if not all(self.low <= value <= self.high for value in self.begin):
+            raise InputError(f"Parameter {self.name}: begin must lie within [{self.low:g}, {self.high:g}].")
 
     def sized(self, size: Size, stated: float | None = None) -> "Parameter":
         """The same parameter of an axis of this size, in its unit.
@@ -139,8 +141,8 @@ class Parameter:
             if wider != (low, high) and not self.complaint(size, stated):
                 low, high = wider
         off = None if self.off is None else times * self.off
-        typical, span = times * self.typical, times * self.span
-        return replace(self, unit=unit, low=low, high=high, off=off, typical=typical, span=span)
+        typical, span, begin = times * self.typical, times * self.span, tuple(times * value for value in self.begin)
+        return replace(self, unit=unit, low=low, high=high, off=off, typical=typical, span=span, begin=begin)
 
     def complaint(self, size: Size, stated: float) -> str:
         """Why a value cannot be stated for an axis of this size; "" if it can.

@@ -134,7 +134,11 @@ def test_a_profile_without_a_limit_on_the_acceleration_limits_the_rate(model_of:
     assert seen(model, np.full(40, 0.25)) == pytest.approx(travelled.reshape(40, 1000).mean(axis=1), abs=1e-4)
 
 
-@checks("duty_cut_back", "|duty| <= s while |duty asked for| >= b for longer than T")
+@checks(
+    "duty_cut_back",
+    "|duty| <= s while |duty asked for| >= b for longer than T; of a drive that regulates its torque, torques in place "
+    "of duties, as shares of the largest",
+)
 @pytest.mark.parametrize("drive", sorted(DRIVES))
 def test_duty_cut_back(model_of: ModelOf, drive: str) -> None:
     """1.5 N m is full duty: asked for 80 % at least for 50 ms; asked for less between, the time starts anew."""
@@ -143,6 +147,19 @@ def test_duty_cut_back(model_of: ModelOf, drive: str) -> None:
     given = asked.copy()
     given[8:13], given[20] = 0.3 * np.sign(asked[8:13]), 0.3
     assert torques(model, asked / STIFF) == pytest.approx(given, abs=1e-9)
+
+
+@pytest.mark.parametrize("drive", ["torque_pd", "velocity_pid"])
+@pytest.mark.parametrize(("bound", "given"), [(0.5, 0.6), (0.3, 0.3)])
+def test_a_cut_back_of_a_regulated_torque_leaves_back_emf_out(
+    model_of: ModelOf, drive: str, bound: float, given: float
+) -> None:
+    """At 1 rad/s 0.6 N m of 1.5 N m take six tenths of the voltage, and four of the torque."""
+    model = model_of("horn", drive).with_values({"drive.a.back_emf": 0.2})
+    at = [float(torques(model, [target], 1e-4, a_speed=1.0)[0]) for target in (0.2, 0.3)]
+    target = 0.2 + 0.1 * (0.6 - at[0]) / (at[1] - at[0])
+    model = model.with_effect("duty_cut_back", "a", {"share": 0.2, "bound": bound, "time": 0.0})
+    assert torques(model, [target], 1e-4, a_speed=1.0)[0] == pytest.approx(given, abs=1e-4)
 
 
 @checks("cross_coupling", "load = r motor + c other load (with a belt); u' = u + c u_other (without)")

@@ -228,9 +228,9 @@ def _with_ticks(rows: Sequence[Sequence[float]], ticks: Array) -> Array:
 
 
 def _spread(p: Parameter) -> Array:
-    """A few values between the bounds of a parameter that only shapes an effect."""
-    if not p.looked:
-        return np.array([p.typical])
+    """A few values of a parameter that only shapes an effect: those declared, or some between its bounds."""
+    if p.begin:
+        return np.array(p.begin)
     return np.geomspace(p.low, p.high, 7)[1:-1] if p.low > 0 else np.linspace(p.low, p.high, 5)[:-1]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Duty cut back under stall: the limit of MuJoCo's servo, rewritten before every step."""
+"""Duty cut back under stall: the limit of MuJoCo's servo, or of what its joint gets, rewritten before every step."""
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state
@@ -10,13 +10,20 @@ def step(raw: int) -> None:
     s = state(raw)
     share, bound, time = s.values[0], s.values[1], s.values[2]
     bias, full = s.base_bias[s.drive], s.base_limits[s.drive, 1]
-    wanted = s.base_gain[s.drive, 0] * s.ctrl[s.drive] + bias[0] + bias[1] * s.qpos[s.angle] + bias[2] * s.qvel[s.dof]
+    second, by_duty = s.drives[s.channel, 3], s.drives[s.channel, 4]
+    # What a drive that regulates its torque asks for is what it gives together with back-EMF.
+    emf = s.base_bias[second, 2] if second >= 0 and by_duty == 0 else 0.0
+    speed = s.qvel[s.dof]
+    wanted = s.base_gain[s.drive, 0] * s.ctrl[s.drive] + bias[0] + bias[1] * s.qpos[s.angle] + (bias[2] + emf) * speed
     lasted = s.memory[0]
     on = s.error[s.channel] == s.error[s.channel]  # it is no number where the drive is off
     asked = on and abs(wanted) >= bound * full
     if asked and lasted >= time:
-        s.limits[s.drive, 0] *= share
-        s.limits[s.drive, 1] *= share
+        for k in range(2):
+            if by_duty or s.joint_limits[s.joint, 1] <= 0.0:
+                s.limits[s.drive, k] *= share
+            else:
+                s.joint_limits[s.joint, k] *= share
     s.memory[0] = lasted + s.step if asked else 0.0
 
 
@@ -24,12 +31,22 @@ EFFECT = Effect(
     name="duty_cut_back",
     title="Duty cut back under stall",
     physics="The firmware protects the motor: after it has requested a large part of the full duty for some time, it "
-    "limits the duty to a small share until it requests less.",
-    equation="|duty| <= s while |duty asked for| >= b for longer than T",
+    "limits the duty to a small share until it requests less. A firmware that regulates the current does so with that.",
+    equation="|duty| <= s while |duty asked for| >= b for longer than T; of a drive that regulates its torque, torques "
+    "in place of duties, as shares of the largest",
     parameters=(
-        Parameter("share", "1", 0.02, 1.0, 1.0, 0.25, "protective torque in the firmware: a few per cent to no cut"),
-        Parameter("bound", "1", 0.02, 1.0, None, 0.4, "overload torque in the firmware; Feetech's default is 0.8"),
-        Parameter("time", "s", 0.0, 3.0, None, 0.0, "protection time in the firmware; Feetech's default is 2 s"),
+        Parameter("share", "1", 0.002, 1.0, 1.0, 0.25, "protective torque in the firmware: next to none, to no cut"),
+        Parameter("bound", "1", 0.002, 1.0, None, 0.4, "overload torque in the firmware; Feetech's default is 0.8"),
+        Parameter(
+            "time",
+            "s",
+            0.0,
+            3.0,
+            None,
+            0.0,
+            "protection time in the firmware; Feetech's default is 2 s",
+            begin=(0.0, 0.02, 0.1, 0.5, 2.0),
+        ),
     ),
     stage="force",
     mark="Large steps and heavy loads stop half-way: the axis sinks back or creeps; small motions are unchanged.",
@@ -44,6 +61,6 @@ EFFECT = Effect(
     ),
     separated_by="Steps of growing size under load: saturation slows all large ones alike, the cut-back makes those "
     "beyond its bound slower than those just below.",
-    touches=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+    touches=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange"),
     step=step,
 )

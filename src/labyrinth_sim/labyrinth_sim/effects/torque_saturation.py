@@ -54,7 +54,7 @@ EFFECT = Effect(
     "x / (1 + x^(1/r))^r of the limit where x of it is asked for, r > 0 being the softness",
     parameters=(
         Parameter("share", "1", 0.005, 1.0, 1.0, 0.02, "a hundredth to all of the full torque"),
-        Parameter("softness", "1", 0.0, 1.0, None, 0.0, "0 is sharp; tanh has 0.4", settled=True, looked=False),
+        Parameter("softness", "1", 0.0, 1.0, None, 0.0, "0 is sharp; tanh has 0.4", settled=True, begin=(0.0,)),
     ),
     stage="mjcf",
     mark="Large steps accelerate and brake at a constant rate, small ones look undisturbed.",
