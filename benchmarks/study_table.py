@@ -32,7 +32,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_order": "pairs grow from the best effect; general and simple forms start from one another",
     "diagnosis_settled": "descents at short steps take their own slopes; those near the best go on until they rest",
     "diagnosis_supply": "one supply for all axes; simple forms hold no general one back",
-    "diagnosis_limits": "limits reach further; from 870460 on cut-backs of torques leave back-EMF out, limits may be soft",
+    "diagnosis_limits": "limits reach further; from 870460 on cut-backs leave back-EMF out, limits may be soft",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
