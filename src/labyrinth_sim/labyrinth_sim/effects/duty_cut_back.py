@@ -31,7 +31,7 @@ EFFECT = Effect(
     name="duty_cut_back",
     title="Duty cut back under stall",
     physics="The firmware protects the motor: after it has requested a large part of the full duty for some time, it "
-    "limits the duty to a small share until it requests less. A firmware that regulates the current does so with that.",
+    "limits the duty to a small share until it requests less. A firmware that regulates the current limits that instead.",
     equation="|duty| <= s while |duty asked for| >= b for longer than T; of a drive that regulates its torque, torques "
     "in place of duties, as shares of the largest",
     parameters=(
