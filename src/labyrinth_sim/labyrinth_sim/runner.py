@@ -59,9 +59,9 @@ class Laws:
             self.values[:, k, : len(own)] = np.column_stack(own)
         self.memory = np.zeros((nsim, len(placed), MEMORY))
         sites = [p.site for p, _, _ in placed]
-        self.places = np.array(
-            [[s.channel, s.actuator, s.dof, s.qpos, s.load_dof, s.tendon, s.joint] for s in sites], dtype=np.int64
-        ).reshape(len(sites), len(PLACE))
+        self.places = np.array([[getattr(s, name) for name in PLACE] for s in sites], dtype=np.int64).reshape(
+            len(sites), len(PLACE)
+        )
         self.touches = sorted({name for p, _, _ in placed for name in p.effect.touches})
         mj = plan.mj
         self.drives = np.array(

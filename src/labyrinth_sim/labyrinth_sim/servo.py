@@ -7,6 +7,7 @@ follow its law until it reaches the line is given B speed on top of it: `clip(la
 """
 
 import mujoco
+import numba
 
 from labyrinth_sim.effect import Parameter, Values
 from labyrinth_sim.filters import Delay, rounded
@@ -51,6 +52,17 @@ def set_current(fields: Fields, site: Site, torque: Array) -> None:
     """Sets the torque at the largest current, (nsim,) N m, in either direction."""
     fields["jnt_actfrcrange"][:, site.joint, 0] = -torque
     fields["jnt_actfrcrange"][:, site.joint, 1] = torque
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def asked(gain: Array, bias: Array, control: float, angle: float, speed: float, emf: float) -> float:
+    """N m that a servo's law asks for, its range aside; for laws of effects.
+
+    Args:
+        gain, bias: (10,) of its actuator.
+        emf: N m s/rad of back-EMF (negative) where that counts, too.
+    """
+    return float(gain[0] * control + bias[0] + bias[1] * angle + (bias[2] + emf) * speed)
 
 
 BACK_EMF = Parameter(

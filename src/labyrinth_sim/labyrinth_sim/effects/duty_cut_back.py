@@ -3,6 +3,7 @@
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state
+from labyrinth_sim.servo import asked
 
 
 @law
@@ -13,25 +14,25 @@ def step(raw: int) -> None:
     second, by_duty = s.drives[s.channel, 3], s.drives[s.channel, 4]
     # What a drive that regulates its torque asks for is what it gives together with back-EMF.
     emf = s.base_bias[second, 2] if second >= 0 and by_duty == 0 else 0.0
-    speed = s.qvel[s.dof]
-    wanted = s.base_gain[s.drive, 0] * s.ctrl[s.drive] + bias[0] + bias[1] * s.qpos[s.angle] + (bias[2] + emf) * speed
+    wanted = asked(s.base_gain[s.drive], bias, s.ctrl[s.drive], s.qpos[s.angle], s.qvel[s.dof], emf)
     lasted = s.memory[0]
     on = s.error[s.channel] == s.error[s.channel]  # it is no number where the drive is off
-    asked = on and abs(wanted) >= bound * full
-    if asked and lasted >= time:
+    much = on and abs(wanted) >= bound * full
+    if much and lasted >= time:
         for k in range(2):
             if by_duty or s.joint_limits[s.joint, 1] <= 0.0:
                 s.limits[s.drive, k] *= share
             else:
                 s.joint_limits[s.joint, k] *= share
-    s.memory[0] = lasted + s.step if asked else 0.0
+    s.memory[0] = lasted + s.step if much else 0.0
 
 
 EFFECT = Effect(
     name="duty_cut_back",
     title="Duty cut back under stall",
     physics="The firmware protects the motor: after it has requested a large part of the full duty for some time, it "
-    "limits the duty to a small share until it requests less. A firmware that regulates the current limits that instead.",
+    "limits the duty to a small share until it requests less. A firmware that regulates the current limits that "
+    "instead.",
     equation="|duty| <= s while |duty asked for| >= b for longer than T; of a drive that regulates its torque, torques "
     "in place of duties, as shares of the largest",
     parameters=(

@@ -8,6 +8,7 @@ import numpy as np
 
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state
+from labyrinth_sim.servo import asked
 from labyrinth_sim.trials import Array
 
 NO_LOAD = 6.5  # rad/s at which back-EMF takes the whole voltage, where the drive does not say: MX-106 4.7, MX-64 6.6
@@ -36,8 +37,8 @@ def step(raw: int) -> None:
         slope = -s.base_bias[second, 2] / full if second >= 0 else 0.0
         own = slope > 0.0
         emf = (slope if own else min(sag / FULL, 1.0) / NO_LOAD) * s.qvel[dof]
-        asked = (s.base_gain[act, 0] * s.ctrl[act] + bias[0] + bias[1] * s.qpos[angle] + bias[2] * s.qvel[dof]) / full
-        wanted = asked - emf if own and by_duty == 0 else asked  # of a drive with back-EMF of its own a voltage
+        wanted = asked(s.base_gain[act], bias, s.ctrl[act], s.qpos[angle], s.qvel[dof], 0.0) / full
+        wanted -= emf if own and by_duty == 0 else 0.0  # of a drive with back-EMF of its own a voltage
         along[i] = -emf if wanted < 0.0 else emf
         size = min(abs(wanted), 1.0 + abs(emf))  # more is full duty in any case
         duty[i] = min(size, 1.0) if by_duty else 0.0

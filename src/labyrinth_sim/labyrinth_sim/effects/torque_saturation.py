@@ -7,6 +7,7 @@ import numpy as np
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.law import law, state
 from labyrinth_sim.live import Fields
+from labyrinth_sim.servo import asked
 from labyrinth_sim.site import Site
 
 
@@ -24,11 +25,11 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
 def step(raw: int) -> None:
     s = state(raw)
     bias, second = s.act_bias[s.drive], s.drives[s.channel, 3]
-    wanted = s.gain[s.drive, 0] * s.ctrl[s.drive] + bias[0] + bias[1] * s.qpos[s.angle] + bias[2] * s.qvel[s.dof]
     most, own = s.limits[s.drive, 1], 0.0
     if s.joint_limits[s.joint, 1] > 0.0:  # its current is limited, which back-EMF is part of
         most, own = s.joint_limits[s.joint, 1], s.act_bias[second, 2] if second >= 0 else 0.0
-    ratio = abs(wanted + own * s.qvel[s.dof]) / max(most, 1e-300)
+    wanted = asked(s.gain[s.drive], bias, s.ctrl[s.drive], s.qpos[s.angle], s.qvel[s.dof], own)
+    ratio = abs(wanted) / max(most, 1e-300)
     # Of the servo's law, so that MuJoCo still takes its damping at the coming speed.
     factor = given(ratio, s.values[1]) / ratio if ratio > 0.0 else 1.0
     s.gain[s.drive, 0] *= factor
