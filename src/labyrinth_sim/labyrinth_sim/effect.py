@@ -103,6 +103,7 @@ class Parameter:
         span: a large change of the value, where the bounds lie much further apart than that: a search takes its steps
             in shares of it. 0 for the distance of the bounds.
         begin: values from which a search begins, where it is not to spread them between the bounds.
+        abrupt: whether a small change of it makes something happen or not, so that the misfit jumps.
     """
 
     name: str
@@ -117,6 +118,7 @@ class Parameter:
     span: float = 0.0
     settled: bool = False
     begin: tuple[float, ...] = ()
+    abrupt: bool = False
 
     def __post_init__(self) -> None:
         if not self.low <= self.typical <= self.high or not (self.off is None or self.low <= self.off <= self.high):

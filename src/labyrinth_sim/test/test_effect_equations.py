@@ -142,11 +142,14 @@ def test_a_profile_without_a_limit_on_the_acceleration_limits_the_rate(model_of:
 @pytest.mark.parametrize("drive", sorted(DRIVES))
 def test_duty_cut_back(model_of: ModelOf, drive: str) -> None:
     """1.5 N m is full duty: asked for 80 % at least for 50 ms; asked for less between, the time starts anew."""
-    model = model_of("pair", drive).with_effect("duty_cut_back", "a", {"share": 0.2, "bound": 0.8, "time": 0.045})
+    model = model_of("pair", drive).with_effect("duty_cut_back", "a", {"share": 0.2, "bound": 0.8, "time": 0.05})
     asked = np.repeat([1.0, 1.4, -1.3, 0.6, 1.3], [3, 7, 3, 2, 6])
     given = asked.copy()
     given[8:13], given[20] = 0.3 * np.sign(asked[8:13]), 0.3
     assert torques(model, asked / STIFF) == pytest.approx(given, abs=1e-9)
+    sooner = model.with_values({"duty_cut_back.a.time": 0.045}, "test")
+    given[7], given[19] = 0.9, 0.9  # cut in the second half of the step: half of the way from 1.5 N m to 0.3
+    assert torques(sooner, asked / STIFF) == pytest.approx(given, abs=1e-9)
 
 
 @pytest.mark.parametrize("drive", ["torque_pd", "velocity_pid"])

@@ -127,6 +127,12 @@ class Evidence:
         other.free = self.free if free is None else tuple(free)
         return other
 
+    def with_plays(self, model: Model, plays: Sequence[PlayEvidence]) -> "Evidence":
+        """The same for another model of the rig, of whose values each play knows something else."""
+        other = self.of(model)
+        other.plays, other.known = tuple(plays), known_values(model, [p.play for p in plays])
+        return other
+
     def started(self, shifts: Sequence[Mapping[str, float]]) -> "Evidence":
         """The same, with these signals shifted by so much at the start of each play, in their units."""
         other = self._again()

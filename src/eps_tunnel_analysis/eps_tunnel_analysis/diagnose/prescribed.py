@@ -93,10 +93,14 @@ def _targets(time: Array, simulated: Array, stamps: Array, missing: Array, at: A
     """Targets at times (n,) of a joint that moves as simulated (K,) at `time`, and by what is missing (b,) at `stamps`
     more, smoothed.
     """
+    return command(*course(time, simulated, stamps, missing, at))
+
+
+def course(time: Array, simulated: Array, stamps: Array, missing: Array, at: Array) -> Array:
+    """(3, n) position, speed and acceleration at times (n,) of such a joint."""
     curves = CubicSpline(time, simulated), smooth(stamps, missing)
     inside, within = np.clip(at, time[0], time[-1]), np.clip(at, stamps[0], stamps[-1])
-    parts = [curves[0](inside, order) + curves[1](within, order) for order in range(3)]
-    return command(*parts)
+    return np.array([curves[0](inside, order) + curves[1](within, order) for order in range(3)])
 
 
 def smooth(time: Array, values: Array) -> BSpline:

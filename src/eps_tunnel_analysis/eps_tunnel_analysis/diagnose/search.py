@@ -87,7 +87,7 @@ class Search:
         self.scale = self._noise = scale[used]
         self.evaluations = 0
         self.progress, self.exhaustive = progress, exhaustive
-        self._shift = np.zeros(len(used))  # error of the coarse step, near where the search is
+        self.shift = np.zeros(len(used))  # (R,) added to coarse residuals: the step's error near where the search is
         self._column = {name: i for i, name in enumerate(library.names)}
         #: (K,) large changes of the values, of which the search moves them by shares
         self.spans = np.array([infos[name].span for name in library.names])
@@ -121,7 +121,7 @@ class Search:
         seen = self.levels[level](values)[:, self.used] / self.scale
         if self.progress:
             self.progress(self.evaluations)
-        return seen + self._shift if level == "coarse" else seen
+        return seen + self.shift if level == "coarse" else seen
 
     def strain(self, values: Array) -> float:
         """How unlikely values (K,) are beside what is stated: minus twice the logarithm of their likelihood."""
@@ -154,7 +154,7 @@ class Search:
         each = np.bincount(self.blocks, moved**2) / np.maximum(np.bincount(self.blocks), 1)
         differ = 1.0 - (np.zeros(len(self.evidence.signals)) if agreement is None else agreement)
         scale = np.sqrt(self._noise**2 + 2.0 * differ[self.signal] * each[self.blocks])
-        self._shift *= self.scale / scale
+        self.shift *= self.scale / scale
         self.scale = scale
 
     @property
@@ -224,7 +224,7 @@ class Search:
 
     def settle_at(self, refit: Refit) -> None:
         """Corrects coarse roll-outs by the exact ones at a refit."""
-        self._shift = self._shift + refit.residuals - self.residuals(refit.values[None])[0]
+        self.shift = self.shift + refit.residuals - self.residuals(refit.values[None])[0]
 
     def feel(self, refit: Refit) -> None:
         """Excludes from all later refits the roughly known values whose expected deviation does not show in the
@@ -272,7 +272,7 @@ class Search:
         size = len(library.base)
         for name in ("_idle", "sharp", "difference"):
             getattr(other, name)[:size] = getattr(self, name)[:size]
-        other._noise, other._shift, other.evaluations = self._noise, self._shift, self.evaluations
+        other._noise, other.shift, other.evaluations = self._noise, self.shift, self.evaluations
         return other
 
     def as_stated(self) -> "Search":

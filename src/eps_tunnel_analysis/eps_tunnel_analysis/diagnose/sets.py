@@ -20,6 +20,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     with_fewer_again,
     without,
 )
+from eps_tunnel_analysis.diagnose.guided import event_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, base_and_sets, best_by_set, lowest
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Search
@@ -74,8 +75,9 @@ def refitted_sets(
         if lacking(best, refits):
             fitted = {r.effects: r for r in (base, best)}.values()
             ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
-            refits = best_by_set([*refits, *ticks])
-            best = lowest([best, *ticks])
+            more = [*ticks, *event_refits(search, [*fitted], allowed)]
+            refits = best_by_set([*refits, *more])
+            best = lowest([best, *more])
             worth = _explains(base, best)
         for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
             same = [r for r in refits if len(r.effects) == size]

@@ -1,9 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Duty cut back under stall: the limit of MuJoCo's servo, or of what its joint gets, rewritten before every step."""
 
+import numba
+
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.law import law, state
 from labyrinth_sim.servo import asked
+
+
+@numba.njit  # type: ignore[untyped-decorator]
+def _part_cut(beyond: float, then: float, lasted: float, time: float, step: float) -> float:
+    """Share of a step in which the duty is cut, if what is asked for moves from `beyond` the bound to `then`.
+
+    Args:
+        lasted: s, for which it has been beyond the bound when the step begins.
+        time: s, for which it has to be.
+    """
+    begins, ends = 0.0, 1.0
+    if beyond < 0.0:
+        if then <= 0.0:
+            return 0.0
+        begins = beyond / (beyond - then)
+    elif then < 0.0:
+        ends = beyond / (beyond - then)
+    return max(ends - max(begins, begins + (time - lasted) / step), 0.0)
 
 
 @law
@@ -14,17 +34,33 @@ def step(raw: int) -> None:
     second, by_duty = s.drives[s.channel, 3], s.drives[s.channel, 4]
     # What a drive that regulates its torque asks for is what it gives together with back-EMF.
     emf = s.base_bias[second, 2] if second >= 0 and by_duty == 0 else 0.0
-    wanted = asked(s.base_gain[s.drive], bias, s.ctrl[s.drive], s.qpos[s.angle], s.qvel[s.dof], emf)
-    lasted = s.memory[0]
-    on = s.error[s.channel] == s.error[s.channel]  # it is no number where the drive is off
-    much = on and abs(wanted) >= bound * full
-    if much and lasted >= time:
+    gain, angle, speed, command = s.base_gain[s.drive], s.qpos[s.angle], s.qvel[s.dof], s.ctrl[s.drive]
+    beyond = abs(asked(gain, bias, command, angle, speed, emf)) - bound * full
+    if s.error[s.channel] != s.error[s.channel]:  # it is no number where the drive is off
+        beyond = -bound * full
+    lasted, before, arrived = 0.0, beyond, beyond
+    if s.memory[3] > 0.0:
+        # During a step it moves steadily, and where the command steps it jumps.
+        lasted, before = s.memory[0], s.memory[1]
+        arrived = abs(asked(gain, bias, s.memory[2], angle, speed, emf)) - bound * full
+    # When it crosses the bound, and when the time is over, is found within a step. Otherwise a small change of either
+    # would do nothing, or move the cut by a whole step.
+    if arrived >= 0.0 and before < 0.0:
+        lasted = s.step * arrived / (arrived - before)
+    elif arrived >= 0.0 and s.memory[3] > 0.0:
+        lasted += s.step
+    else:
+        lasted = 0.0
+    lasted = lasted if beyond >= 0.0 else 0.0
+    s.memory[0], s.memory[1], s.memory[2], s.memory[3] = lasted, beyond, command, 1.0
+    cut = _part_cut(beyond, beyond + arrived - before, lasted, time, s.step)
+    if cut > 0.0:
+        left = 1.0 - cut * (1.0 - share)
         for k in range(2):
             if by_duty or s.joint_limits[s.joint, 1] <= 0.0:
-                s.limits[s.drive, k] *= share
+                s.limits[s.drive, k] *= left
             else:
-                s.joint_limits[s.joint, k] *= share
-    s.memory[0] = lasted + s.step if much else 0.0
+                s.joint_limits[s.joint, k] *= left
 
 
 EFFECT = Effect(
@@ -37,7 +73,16 @@ EFFECT = Effect(
     "in place of duties, as shares of the largest",
     parameters=(
         Parameter("share", "1", 0.002, 1.0, 1.0, 0.25, "protective torque in the firmware: next to none, to no cut"),
-        Parameter("bound", "1", 0.002, 1.0, None, 0.4, "overload torque in the firmware; Feetech's default is 0.8"),
+        Parameter(
+            "bound",
+            "1",
+            0.002,
+            1.0,
+            None,
+            0.4,
+            "overload torque in the firmware; Feetech's default is 0.8",
+            abrupt=True,
+        ),
         Parameter(
             "time",
             "s",
@@ -47,6 +92,7 @@ EFFECT = Effect(
             0.0,
             "protection time in the firmware; Feetech's default is 2 s",
             begin=(0.0, 0.02, 0.1, 0.5, 2.0),
+            abrupt=True,
         ),
     ),
     stage="force",
