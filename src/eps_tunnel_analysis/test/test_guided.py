@@ -8,11 +8,10 @@ import pytest
 from fit_cases import TRUTH, made_by, start, step
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
-from eps_tunnel_analysis.diagnose.guided import HOLDS, event_refits, held_near
+from eps_tunnel_analysis.diagnose.guided import HOLDS, event_refits, firmly, held_near
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.simulated import Play
-from labyrinth_sim.trials import Array
 
 CUT = {"share": 0.1, "bound": 0.15, "time": 0.03}
 
@@ -41,11 +40,10 @@ def bare(search: Search) -> Refit:
 def test_the_firmer_it_is_held_the_nearer_it_stays_to_the_measured_motion(search: Search) -> None:
     refit = bare(search)
     held = held_near(search, refit)
-    names = [name for name in held.model.values() if name.endswith(".rate")]
 
-    def off(rate: float) -> Array:
-        model = held.model.with_values(dict.fromkeys(names, rate), "test")
-        return np.sqrt(np.mean((held.of(model)(refit.values[None])[0, search.used] / search.scale) ** 2))
+    def off(rate: float) -> float:
+        seen = firmly(held, rate)(refit.values[None])[0, search.used]
+        return float(np.sqrt(np.mean((seen / search.scale) ** 2)))
 
     free = np.sqrt(refit.cost)
     left = [off(rate) for rate in (0.0, *sorted(set(HOLDS)))]

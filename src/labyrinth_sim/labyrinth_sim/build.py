@@ -115,6 +115,12 @@ def own_inertia(model: Model, axis: str) -> float:
     return min(float(1.0 / np.linalg.inv(whole)[dof, dof]) for whole in _inertias(plan.mj))
 
 
+def inertia_at_rest(mj: mujoco.MjModel, joint: str) -> float:
+    """kg m^2 (kg where it slides) that a joint turns in the model's pose, with what it carries, armature included."""
+    dof = int(mj.joint(joint).dofadr[0])
+    return float(next(_inertias(mj))[dof, dof])
+
+
 def _inertias(mj: mujoco.MjModel) -> Iterator[Array]:
     """(nv, nv) inertia in a few poses."""
     data = mujoco.MjData(mj)

@@ -56,6 +56,23 @@ class Motion:
             object.__setattr__(self, name, locked(getattr(self, name)))
 
 
+def unlisted(name: str, title: str, physics: str, equation: str, *parameters: Parameter) -> Effect:
+    """An effect that only an analysis adds, after all others; its hooks are added to it."""
+    return Effect(
+        name=name,
+        title=title,
+        physics=physics,
+        equation=equation,
+        parameters=parameters,
+        stage="force",
+        mark="",
+        shows="offset",
+        confused_with=(),
+        separated_by="",
+        order=1000,
+    )
+
+
 class Tables:
     """Tables over time that are added to one axis, a row of the table for each simulation; hooks are added to `effect`.
 
@@ -66,19 +83,8 @@ class Tables:
 
     def __init__(self, axis: str, name: str, title: str, equation: str) -> None:
         self.table: Array = np.zeros((1, 1))  # (rows, K)
-        self.effect = Effect(
-            name=name,
-            title=title,
-            physics="An offset over time, as a table.",
-            equation=equation,
-            parameters=(Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing"),),
-            stage="force",
-            mark="",
-            shows="offset",
-            confused_with=(),
-            separated_by="",
-            order=1000,
-        )
+        row = Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing")
+        self.effect = unlisted(name, title, "An offset over time, as a table.", equation, row)
         self.name = f"{name}.{axis}.row"
         self._axis = axis
 

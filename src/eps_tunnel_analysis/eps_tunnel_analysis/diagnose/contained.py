@@ -10,7 +10,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, base_and_sets, lowest
-from eps_tunnel_analysis.diagnose.search import OUT_OF_REACH, Search
+from eps_tunnel_analysis.diagnose.search import OUT_OF_REACH, Level, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.trials import Array
@@ -68,9 +68,14 @@ def general_refits(search: Search, refits: Sequence[Refit]) -> list[Refit]:
             if start is None or known.get(frozenset(wider.effects), np.inf) < refit.cost - SETTINGS.material:
                 continue
             points = _spread(search, general, start, shared)
-            cost = np.nan_to_num(np.mean(search.residuals(points) ** 2, axis=1), nan=np.inf)
-            jobs += [(search.library.of(wider.effects), points[i]) for i in np.argsort(cost)[:STARTS_EACH]]
+            jobs += [(search.library.of(wider.effects), point) for point in best_points(search, points, STARTS_EACH)]
     return search.best_of(jobs, ROUNDS, best) if jobs else []
+
+
+def best_points(search: Search, points: Array, count: int, level: Level = "coarse") -> Array:
+    """(count, K) the best of values (n, K), best first."""
+    cost = np.nan_to_num(np.mean(search.residuals(points, level) ** 2, axis=1), nan=np.inf)
+    return np.asarray(points[np.argsort(cost, kind="stable")[:count]])
 
 
 def _shared(general: Candidate, simple: Candidate) -> dict[str, str]:

@@ -120,17 +120,16 @@ class Evidence:
         other.missed = missed
         return other
 
-    def of(self, model: Model, free: Sequence[str] | None = None) -> "Evidence":
-        """The same for another model of the rig, and other free parameters if any are given."""
+    def of(
+        self, model: Model, free: Sequence[str] | None = None, plays: Sequence[PlayEvidence] | None = None
+    ) -> "Evidence":
+        """The same for another model of the rig; with other free parameters, and plays that know other values of it, if
+        any are given.
+        """
         other = self._again()
-        other.model, other.known = model, known_values(model, [p.play for p in self.plays])
+        other.plays = self.plays if plays is None else tuple(plays)
+        other.model, other.known = model, known_values(model, [p.play for p in other.plays])
         other.free = self.free if free is None else tuple(free)
-        return other
-
-    def with_plays(self, model: Model, plays: Sequence[PlayEvidence]) -> "Evidence":
-        """The same for another model of the rig, of whose values each play knows something else."""
-        other = self.of(model)
-        other.plays, other.known = tuple(plays), known_values(model, [p.play for p in plays])
         return other
 
     def started(self, shifts: Sequence[Mapping[str, float]]) -> "Evidence":

@@ -6,7 +6,8 @@ with its own values and effects only, and what one joint lacks does not disturb 
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, make_smoothing_spline
@@ -31,8 +32,7 @@ Motions = Mapping[str, Sequence[Series]]
 def measured_motions(model: Model, plays: Sequence[Play]) -> Motions:
     """The motions of the joints that inertia couples, as they were measured; of those whose position was.
 
-    A measured motion is what the model says of it, and a smooth curve through what it misses: the model knows how a
-    joint moves between samples, and the curve follows the recording wherever the model errs.
+    See `Course`.
     """
     groups = (tuple(_positions(model, plays, group)) for group in coupled_axes(model))
     signals = {axis: signal for group in groups if len(group) > 1 for axis, signal in group}
@@ -41,26 +41,63 @@ def measured_motions(model: Model, plays: Sequence[Play]) -> Motions:
     seen = [play_evidence(model, play, tuple(signals.values())) for play in plays]
     step = float(compiled(model, with_ball=False).mj.opt.timestep)
     evidence = Evidence(model, (), seen, tuple(signals.values()), step)
-    missed = evidence(np.empty((1, 0)))[0]
-    bare = model
-    for use in model.effects:
+    found = measured_courses(evidence, np.empty(0), tuple(signals.values()))
+    return {axis: [_told(course) for course in found[signal]] for axis, signal in signals.items()}
+
+
+@dataclass(frozen=True)
+class Course:
+    """The motion of a joint in one play, as it was measured: what the model says of it, and a smooth curve through what
+    it misses. The model knows how a joint moves between samples, and the curve follows the recording wherever the model
+    errs.
+
+    Attributes:
+        time, simulated: (K,) s and what the model says.
+        stamps, missing: (b,) s and what it misses.
+    """
+
+    time: Array
+    simulated: Array
+    stamps: Array
+    missing: Array
+
+    @cached_property
+    def grid(self) -> Array:
+        """(n,) s, every GRID to its end."""
+        return np.arange(0.0, self.time[-1] + GRID, GRID)
+
+    def at(self, times: Array) -> Array:
+        """(3, n) position, speed and acceleration at times (n,)."""
+        curves = CubicSpline(self.time, self.simulated), smooth(self.stamps, self.missing)
+        inside = np.clip(times, self.time[0], self.time[-1])
+        within = np.clip(times, self.stamps[0], self.stamps[-1])
+        return np.array([curves[0](inside, order) + curves[1](within, order) for order in range(3)])
+
+
+def measured_courses(evidence: Evidence, values: Array, signals: Collection[str]) -> dict[str, list[Course]]:
+    """For each of these signals of the evidence, the course in each play, with free values (k,) of its model."""
+    bare = evidence.model
+    for use in bare.effects:
         bare = bare.without_effect(use.effect.name, use.place) if use.effect.only_measures else bare
-    motions: dict[str, list[Series]] = {axis: [] for axis in signals}
-    for number in range(len(plays)):
+    kept = [i for i, name in enumerate(evidence.free) if name in bare.values()]
+    known = {name: given for name, given in evidence.known.items() if name in bare.values()}
+    missed = evidence(values[None])[0]
+    courses: dict[str, list[Course]] = {signal: [] for signal in signals}
+    for number in range(len(evidence.plays)):
         time = evidence.times(number)
         simulated = simulate_batch(
-            bare, (), np.empty((1, 0)), time, evidence.commands[number][None], evidence.initial[number],
-            per_command={name: given[[number]] for name, given in evidence.known.items()},
+            bare, [evidence.free[i] for i in kept], values[None, kept], time, evidence.commands[number][None],
+            evidence.initial[number], per_command={name: given[[number]] for name, given in known.items()},
             resting=evidence.resting[number], signals=evidence.signals, timestep=evidence.step(number), means=True,
         ).values[0, 0]  # fmt: skip
-        at = np.arange(0.0, time[-1] + GRID, GRID)
-        for column, axis in enumerate(signals):
-            here = evidence.blocks == number * len(signals) + column
-            told = time, simulated[:, column]
-            if not np.isfinite(missed[here]).all():  # the model diverges
-                told, missed[here] = (time, np.zeros(len(time))), -evidence.mean[here]
-            motions[axis].append(Series(at, _targets(*told, evidence.time[here], -missed[here], at + GRID / 2.0)))
-    return motions
+        for signal in signals:
+            column = evidence.signals.index(signal)
+            here = evidence.blocks == number * len(evidence.signals) + column
+            told, missing = simulated[:, column], -missed[here]
+            if not np.isfinite(missing).all():  # the model diverges
+                told, missing = np.zeros(len(time)), evidence.mean[here]
+            courses[signal].append(Course(time, told, evidence.time[here], missing))
+    return courses
 
 
 def with_prescribed_motion(
@@ -89,18 +126,9 @@ def coupled_with(model: Model, axes: Collection[str]) -> tuple[str, ...]:
     return tuple(n for group in coupled_axes(model) if set(group) & set(axes) for n in group if n not in axes)
 
 
-def _targets(time: Array, simulated: Array, stamps: Array, missing: Array, at: Array) -> Array:
-    """Targets at times (n,) of a joint that moves as simulated (K,) at `time`, and by what is missing (b,) at `stamps`
-    more, smoothed.
-    """
-    return command(*course(time, simulated, stamps, missing, at))
-
-
-def course(time: Array, simulated: Array, stamps: Array, missing: Array, at: Array) -> Array:
-    """(3, n) position, speed and acceleration at times (n,) of such a joint."""
-    curves = CubicSpline(time, simulated), smooth(stamps, missing)
-    inside, within = np.clip(at, time[0], time[-1]), np.clip(at, stamps[0], stamps[-1])
-    return np.array([curves[0](inside, order) + curves[1](within, order) for order in range(3)])
+def _told(course: Course) -> Series:
+    """The targets of a joint that moves like that."""
+    return Series(course.grid, command(*course.at(course.grid + GRID / 2.0)))
 
 
 def smooth(time: Array, values: Array) -> BSpline:

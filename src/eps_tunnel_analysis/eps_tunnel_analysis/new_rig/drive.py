@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from eps_tunnel_analysis.new_rig.joints import Robot, Sampled
 from eps_tunnel_analysis.new_rig.own_servo import OwnServo, misses, own_servo
+from labyrinth_sim.build import inertia_at_rest
 from labyrinth_sim.trials import Array
 
 LAW = 0.9  # share of the effort's variance that a straight law explains, from which it is one
@@ -490,7 +491,6 @@ def inertia_of(robot: Robot, joint: str) -> tuple[float, float]:
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     at = mj.joint(joint)
     dof, place = int(at.dofadr[0]), int(at.qposadr[0])
-    whole = np.zeros((mj.nv, mj.nv))
     low, high = mj.jnt_range[at.id] if mj.jnt_limited[at.id] else (-1.5, 1.5)
     load = 0.0
     for angle in np.linspace(low, high, 9):
@@ -498,10 +498,7 @@ def inertia_of(robot: Robot, joint: str) -> tuple[float, float]:
         data.qpos[place] = angle
         mujoco.mj_forward(mj, data)
         load = max(load, abs(float(data.qfrc_bias[dof])))
-    data.qpos[:] = mj.qpos0
-    mujoco.mj_forward(mj, data)
-    mujoco.mj_fullM(mj, data, whole)
-    return float(whole[dof, dof]), load
+    return inertia_at_rest(mj, joint), load
 
 
 def _model_torque(robot: Robot, joint: str) -> tuple[float, str]:

@@ -38,20 +38,19 @@ def step(raw: int) -> None:
     beyond = abs(asked(gain, bias, command, angle, speed, emf)) - bound * full
     if s.error[s.channel] != s.error[s.channel]:  # it is no number where the drive is off
         beyond = -bound * full
-    lasted, before, arrived = 0.0, beyond, beyond
-    if s.memory[3] > 0.0:
-        # During a step it moves steadily, and where the command steps it jumps.
-        lasted, before = s.memory[0], s.memory[1]
+    # During a step it moves steadily, and where the command steps it jumps.
+    before, arrived, begun = beyond, beyond, s.memory[3] > 0.0
+    if begun:
+        before = s.memory[1]
         arrived = abs(asked(gain, bias, s.memory[2], angle, speed, emf)) - bound * full
     # When it crosses the bound, and when the time is over, is found within a step. Otherwise a small change of either
     # would do nothing, or move the cut by a whole step.
-    if arrived >= 0.0 and before < 0.0:
-        lasted = s.step * arrived / (arrived - before)
-    elif arrived >= 0.0 and s.memory[3] > 0.0:
-        lasted += s.step
-    else:
+    if beyond < 0.0 or arrived < 0.0 or not begun:
         lasted = 0.0
-    lasted = lasted if beyond >= 0.0 else 0.0
+    elif before < 0.0:
+        lasted = s.step * arrived / (arrived - before)
+    else:
+        lasted = s.memory[0] + s.step
     s.memory[0], s.memory[1], s.memory[2], s.memory[3] = lasted, beyond, command, 1.0
     cut = _part_cut(beyond, beyond + arrived - before, lasted, time, s.step)
     if cut > 0.0:
