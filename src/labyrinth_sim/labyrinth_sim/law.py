@@ -141,7 +141,8 @@ _call: Any = intrinsic(_to_call)
 _call_step: Any = intrinsic(_to_step)
 
 
-@numba.njit(inline="always")  # type: ignore[untyped-decorator]
+# Not inlined by numba, which would compile all of it again for every law: LLVM does as well, in a third of the time.
+@numba.njit(cache=_CACHED)  # type: ignore[untyped-decorator]
 def state(raw: int) -> State:
     """What a law sees: `raw` is the one argument that it gets."""
     head = numba.carray(_integers(raw), (7,))
