@@ -33,7 +33,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_settled": "descents at short steps take their own slopes; those near the best go on until they rest",
     "diagnosis_supply": "one supply for all axes; simple forms hold no general one back",
     "diagnosis_limits": "limits reach further; from 870460 on cut-backs leave back-EMF out, limits may be soft",
-    "diagnosis_held": "from 870488 on cut-backs are searched for in held roll-outs; 870487 took too long and is left out",
+    "diagnosis_held": "from 870488 on cut-backs are searched for in held roll-outs; 870487 took over half an hour",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
