@@ -141,7 +141,7 @@ _call: Any = intrinsic(_to_call)
 _call_step: Any = intrinsic(_to_step)
 
 
-# Not inlined by numba, which would compile all of it again for every law: LLVM does as well, in a third of the time.
+# Not inlined by numba, which would compile all of it again for every law; a step costs the same.
 @numba.njit(cache=_CACHED)  # type: ignore[untyped-decorator]
 def state(raw: int) -> State:
     """What a law sees: `raw` is the one argument that it gets."""
