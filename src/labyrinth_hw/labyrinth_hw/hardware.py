@@ -4,8 +4,9 @@ ROS."""
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import count
 
 from labyrinth_hw.bus import ServoBus
 from labyrinth_hw.compensation import Compensator
@@ -17,6 +18,7 @@ from labyrinth_hw.settings import HardwareConfig
 from labyrinth_hw.vision import Sight
 
 RECONNECT_EVERY = 0.1  # s
+TRIES = 4  # to connect
 FAILURES_TO_DISCONNECT = 5
 TOGETHER = 0.025  # s
 
@@ -81,14 +83,21 @@ class Hardware:
         self._supply = False
         self._retry_at = {"servos": 0.0, "sensors": 0.0}
 
-    def connect(self, tries: int = 4) -> None:
-        """Open both lines; servos that just got power, or a busy machine, may need some tries. Raises HardwareError."""
-        for tries_left in reversed(range(tries)):
+    def connect(self, waits: Callable[[BusError], bool] = lambda error: False) -> None:
+        """Open both lines; servos that just got power, or a busy machine, may need some tries.
+
+        Args:
+            waits: whether to try once more; asked with what was wrong, after each try from the fourth on.
+
+        Raises:
+            HardwareError: a port is missing or in use, or the last try found no servos or others than expected.
+        """
+        for number in count(1):
             try:
                 self._connect_servos()
                 break
-            except BusError:
-                if not tries_left:
+            except BusError as error:
+                if number >= TRIES and not waits(error):
                     raise
                 time.sleep(RECONNECT_EVERY)
         if self.sensors is not None:

@@ -108,7 +108,11 @@ class Bench:
     def ended(self, within: float = PATIENCE) -> tuple[int, str]:
         """Waits, s, for the end of the node started last; its exit code, and what it told on stderr."""
         assert self.node is not None
-        return self.node.wait(within), self._told.read_text()
+        return self.node.wait(within), self.said()
+
+    def said(self) -> str:
+        """What the node started last wrote to stderr so far."""
+        return self._told.read_text()
 
     def tell(self, fault: str) -> None:
         """Give the testbed an order and wait until it obeyed."""

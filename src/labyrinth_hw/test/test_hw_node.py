@@ -81,6 +81,15 @@ def test_a_node_that_starts_first_waits_for_its_ports(bench: Bench) -> None:
     bench.more_states(5)
 
 
+def test_a_node_waits_for_servos_that_answer_later(bench: Bench) -> None:
+    bench.start_testbed()
+    bench.tell("late servos 1")
+    bench.start_node(connect_timeout=PATIENCE)
+    bench.until(lambda: "Found nothing" in bench.said(), "a node that waits")
+    bench.tell("late servos 0")
+    bench.more_states(5)
+
+
 def test_dry_run_measures_but_moves_nothing(bench: Bench) -> None:
     bench.start_testbed()
     bench.start_node(dry_run="true")

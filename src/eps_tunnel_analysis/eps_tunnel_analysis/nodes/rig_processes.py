@@ -101,7 +101,8 @@ def rig_processes(rig: EmulatedRig, model: str, folder: Path) -> Iterator[Proces
             given += ["--video"] if rig.video else []
             processes.start("testbed", [executable("labyrinth_hw", "testbed"), *given])
             _wait_for_ports(Path(ports), processes)
-            armed = _parameters(config=rig.hw, arm="true", disarm_after=0.0)  # nothing can be harmed here
+            # Nothing can be harmed here. While the other processes start, a testbed may answer too late for its servos.
+            armed = _parameters(config=rig.hw, arm="true", disarm_after=0.0, connect_timeout=START_TIMEOUT)
             processes.start("hw_node", [executable("labyrinth_hw", "hw_node"), *armed])
             processes.start("sim_node", [executable("labyrinth_sim", "sim_node"), *_parameters(model=model)])
             processes.start("analysis_node", [executable("eps_tunnel_analysis", "analysis_node")])

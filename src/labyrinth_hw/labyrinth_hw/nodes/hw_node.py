@@ -29,7 +29,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_srvs.srv import SetBool, Trigger
 
 from labyrinth_hw.devices import ask_for_priority
-from labyrinth_hw.errors import HardwareError, InputError
+from labyrinth_hw.errors import BusError, HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement, hardware_health
 from labyrinth_hw.nodes.messages import Stamps, ball_state, board_state, camera_info, diagnostics, image, joint_state
 from labyrinth_hw.nodes.start import start_ros
@@ -59,7 +59,7 @@ class HwNode(LifecycleNode):
         timeout = self._declare(
             "command_timeout", 0.2, "age at which a motor's command is old [s]", 0.02, 5.0, changes=True
         )
-        patience = self._declare("connect_timeout", 5.0, "how long to wait for the ports to appear [s]", 0.0, 600.0)
+        patience = self._declare("connect_timeout", 5.0, "how long to wait for ports and servos [s]", 0.0, 600.0)
         self._autostart = self._declare(
             "autostart", True, "configure at start; otherwise a lifecycle manager does it [-]"
         )
@@ -129,8 +129,9 @@ class HwNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the ports, measure and publish."""
         try:
-            self._await_ports()
-            self.hardware.connect()
+            deadline = time.monotonic() + self._patience
+            self._await_ports(deadline)
+            self.hardware.connect(lambda error: self._awaits_servos(error, deadline))
             camera = self._settings.camera
             self._vision = Vision(camera) if camera is not None else None
         except (HardwareError, InputError, OSError) as error:
@@ -195,12 +196,18 @@ class HwNode(LifecycleNode):
         self.get_logger().error(reason)
         return FAILURE
 
-    def _await_ports(self) -> None:
+    def _await_ports(self, deadline: float) -> None:
         """Wait until the ports' files exist: adapters and the emulated testbed may start after this node."""
         ports = [port for port in (self._settings.servo_port, self._settings.sensor_port) if port]
-        deadline = time.monotonic() + self._patience
         while not all(map(os.path.exists, ports)) and time.monotonic() < deadline and rclpy.ok():
             time.sleep(0.05)
+
+    def _awaits_servos(self, error: BusError, deadline: float) -> bool:
+        """Whether to look for the servos again: they may get their power later, or a busy machine's testbed be late."""
+        left = deadline - time.monotonic()
+        if left > 0:
+            self.get_logger().warning(f"Waits {left:.0f} s more. {error}", throttle_duration_sec=10.0)
+        return left > 0 and bool(rclpy.ok())
 
     def _too_many_publishers(self) -> str | None:
         """What is wrong where more than one node may send commands; None where nothing is."""
