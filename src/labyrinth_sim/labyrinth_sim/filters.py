@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from labyrinth_sim.trials import Array
 
@@ -257,6 +256,8 @@ def dithered(values: Array, tick: Array, noise: Array) -> Array:
 
     Exact to 1e-3 ticks up to a noise of half a tick; beyond, rounding hardly shows and the value itself is as good.
     """
+    from scipy.special import ndtr  # a quarter of a second to import, and a node needs it not
+
     here = tick[:, None]
     safe = np.where(here > 0, here, 1.0)
     spread = np.minimum(np.maximum(noise[:, None] / safe, 1e-9), 0.5)

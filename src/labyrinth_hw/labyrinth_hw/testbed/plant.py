@@ -11,7 +11,17 @@ import numpy as np
 
 from labyrinth_hw.errors import InputError
 from labyrinth_hw.testbed.quantities import Array
-from labyrinth_hw.testbed.servo import WARM, DCMotor, Firmware, LuGre, cogging, karnopp_step, level, position_error
+from labyrinth_hw.testbed.servo import (
+    WARM,
+    DCMotor,
+    Firmware,
+    LuGre,
+    clipped,
+    cogging,
+    karnopp_step,
+    level,
+    position_error,
+)  # fmt: skip
 
 
 class History:
@@ -79,11 +89,11 @@ class Belt:
         if self.slackless:
             torque = q.belt_stiffness * stretch + q.belt_damping * rate
         else:
-            beyond = stretch - np.clip(stretch, -self.slack, self.slack)
+            beyond = stretch - clipped(stretch, -self.slack, self.slack)
             torque = q.belt_stiffness * beyond + np.where(np.abs(stretch) >= self.slack, q.belt_damping * rate, 0.0)
         if self.hysteretic:
             # Prandtl's element: a spring that slips at the limit of its inner friction.
-            self.inner = np.clip(self.inner + dt * rate, -self.inner_limit, self.inner_limit)
+            self.inner = clipped(self.inner + dt * rate, -self.inner_limit, self.inner_limit)
             torque = torque + q.belt_hysteresis_stiffness * self.inner
         if self.loose:
             surplus = np.sign(torque) * np.maximum(np.abs(torque) - q.mount_friction, 0.0)
@@ -116,7 +126,7 @@ class Board:
         if self.sprung:
             torque = torque - q.return_spring * angle
         if np.abs(angle).max() > self.lowest_stop:
-            torque = torque - q.stop_stiffness * (angle - np.clip(angle, -q.stop_angle, q.stop_angle))
+            torque = torque - q.stop_stiffness * (angle - clipped(angle, -q.stop_angle, q.stop_angle))
         return karnopp_step(speed, torque, q.board_inertia, q.board_friction, q.board_viscous, dt)
 
 
@@ -162,7 +172,7 @@ class Plant:
         self._drift = np.zeros_like(self.servo)
         self._goals = History(self.servo, CONTROL_PERIOD, LONGEST_DELAY)
         self._goal = self.servo.copy()
-        measured = self.servo + q.error_reported * self._error()
+        measured = self._reported()
         self._encoder = History(measured, CONTROL_PERIOD, LONGEST_DELAY)
         self._speeds = History(self.servo_speed, CONTROL_PERIOD, LONGEST_DELAY)
         self._pots = History(self.board, CONTROL_PERIOD, LONGEST_DELAY)
@@ -200,6 +210,15 @@ class Plant:
         if not (self._errs or self._warms):
             return self.servo
         return np.asarray(self.servo + self._error() + self._drift)
+
+    def _reported(self) -> Array:
+        """The angle that the servo reports, before its lag.
+
+        Drift by warming is the encoder's own; the local error is not, for the reported angle has a sensor of its own.
+        """
+        if not (self._errs or self._warms):
+            return self.servo
+        return np.asarray(self.servo + self.q.error_reported * self._error() + self._drift)
 
     def _error(self) -> Array:
         return position_error(self.q, self.servo) if self._errs else np.zeros_like(self.servo)
@@ -244,8 +263,7 @@ class Plant:
             rise = warmed + np.maximum(self.motor.temperature - WARM - 5.0, 0.0)
             self._softening = np.clip(1.0 - q.thermal_friction * rise, 0.05, None)
             self._drift = q.thermal_bias * rise
-        # Drift by warming is the encoder's own; the local error is not, for the reported angle has a sensor of its own.
-        encoder, pot = self.servo + self.q.error_reported * self._error() + self._drift, self.board
+        encoder, pot = self._reported(), self.board
         if self._lags:
             self._encoder_filter += (encoder - self._encoder_filter) * -np.expm1(
                 -CONTROL_PERIOD / np.maximum(q.encoder_lag, 1e-9)
