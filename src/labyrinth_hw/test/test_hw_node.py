@@ -83,7 +83,7 @@ def test_a_node_that_starts_first_waits_for_its_ports(bench: Bench) -> None:
 
 def test_a_node_waits_for_servos_that_answer_later(bench: Bench) -> None:
     bench.start_testbed()
-    bench.tell("late servos 1")
+    bench.tell("late servos 0.05")
     bench.start_node(connect_timeout=PATIENCE)
     bench.until(lambda: "Found nothing" in bench.said(), "a node that waits")
     bench.tell("late servos 0")
