@@ -5,6 +5,7 @@ import os
 import site
 import sys
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 from labyrinth_sim.errors import InputError, unknown_name
@@ -34,7 +35,15 @@ def _candidates(kind: str) -> Iterator[Path]:
         if (parent / "src" / "labyrinth_sim" / "package.xml").is_file():
             yield parent / "config" / kind
     for prefix in (*_split("AMENT_PREFIX_PATH"), Path(sys.prefix), Path(site.getuserbase())):
-        yield from sorted(prefix.glob(f"share/*/config/{kind}"))
+        share = prefix / "share"
+        if share.is_dir():
+            yield from (folder / kind for folder in _of_packages(share, share.stat().st_mtime_ns))
+
+
+@lru_cache(maxsize=64)
+def _of_packages(share: Path, changed: int) -> tuple[Path, ...]:
+    """Every package's config/ in a share/ that was `changed` then, ns; there may be hundreds of packages."""
+    return tuple(sorted(share.glob("*/config")))
 
 
 def _split(variable: str) -> list[Path]:

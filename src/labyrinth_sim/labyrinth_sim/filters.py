@@ -3,9 +3,12 @@
 
 from collections.abc import Callable
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
+from labyrinth_sim.law import CACHED
 from labyrinth_sim.trials import Array
 
 
@@ -135,16 +138,25 @@ class RateLimit:
         self.most, self.free, self.last = rate * step, free, np.array(start, float)
 
     def __call__(self, own: Array, every: Array) -> Array:
-        out = np.empty_like(own)
-        last = self.last
+        return _rate_limited(np.ascontiguousarray(own), self.most, self.free, self.last)
+
+
+@numba.njit(cache=CACHED, error_model="numpy")  # type: ignore[untyped-decorator]
+def _rate_limited(own: Array, most: Array, free: NDArray[np.bool_], last: Array) -> Array:
+    """The samples that `RateLimit` gives; `last` becomes where it stands."""
+    out = np.empty_like(own)
+    for i in range(own.shape[0]):
+        at, limit = last[i], most[i]
         for k in range(own.shape[1]):
-            now = own[:, k]
-            free = self.free | np.isnan(last) | np.isnan(now)
-            way = np.minimum(np.maximum(now - last, -self.most), self.most)
-            last = np.where(free, now, last + way)
-            out[:, k] = np.where(free, now, last - 0.5 * way * np.abs(way) / self.most)
-        self.last = last
-        return out
+            now = own[i, k]
+            if free[i] or np.isnan(at) or np.isnan(now):
+                at = out[i, k] = now
+            else:
+                way = min(max(now - at, -limit), limit)
+                at = at + way
+                out[i, k] = at - 0.5 * way * abs(way) / limit
+        last[i] = at
+    return out
 
 
 class Profile:
@@ -167,27 +179,38 @@ class Profile:
         self.at, self.moving = np.array(start, float), np.zeros_like(start)
 
     def __call__(self, own: Array, every: Array) -> Array:
-        out = np.empty_like(own)
-        step, slowing = self.step, self.acceleration * self.step
-        at, moving = self.at, self.moving
+        limits = (self.acceleration, self.speed, self.abrupt, self.free)
+        return _profiled(np.ascontiguousarray(own), *limits, self.step, self.at, self.moving)
+
+
+@numba.njit(cache=CACHED, error_model="numpy")  # type: ignore[untyped-decorator]
+def _profiled(
+    own: Array, acceleration: Array, speed: Array, abrupt: NDArray[np.bool_], free: NDArray[np.bool_], step: float,
+    at: Array, moving: Array,
+) -> Array:  # fmt: skip
+    """The samples that `Profile` gives; `at` and `moving` become where it stands and its speed."""
+    out = np.empty_like(own)
+    for i in range(own.shape[0]):
+        here, before = at[i], moving[i]
+        slowing, most = acceleration[i] * step, speed[i] * step
         for k in range(own.shape[1]):
-            goal = own[:, k]
-            free = self.free | np.isnan(at) | np.isnan(goal)
-            ahead = goal - at - 0.5 * moving * step
-            stoppable = np.sqrt((0.5 * slowing) ** 2 + 2.0 * self.acceleration * np.abs(ahead)) - 0.5 * slowing
-            wanted = np.copysign(np.minimum(stoppable, self.speed), ahead)
-            after = np.minimum(np.maximum(wanted, moving - slowing), moving + slowing)
-            mean, way = (2.0 * moving + after) * step / 6.0, 0.5 * (moving + after) * step
-            if self.abrupt.any():  # it moves at full speed until it is there, as `RateLimit` does
-                most = self.speed * step
-                straight = np.minimum(np.maximum(goal - at, -most), most)
-                way = np.where(self.abrupt, straight, way)
-                mean = np.where(self.abrupt, straight - 0.5 * straight * np.abs(straight) / most, mean)
-            out[:, k] = np.where(free, goal, at + mean)
-            at = np.where(free, goal, at + way)
-            moving = np.where(free | self.abrupt, 0.0, after)
-        self.at, self.moving = at, moving
-        return out
+            goal = own[i, k]
+            if free[i] or np.isnan(here) or np.isnan(goal):
+                here, before = goal, 0.0
+                out[i, k] = goal
+            elif abrupt[i]:  # it moves at full speed until it is there, as `RateLimit` does
+                way = min(max(goal - here, -most), most)
+                out[i, k] = here + (way - 0.5 * way * abs(way) / most)
+                here, before = here + way, 0.0
+            else:
+                ahead = goal - here - 0.5 * before * step
+                stoppable = np.sqrt((0.5 * slowing) ** 2 + 2.0 * acceleration[i] * abs(ahead)) - 0.5 * slowing
+                wanted = np.copysign(min(stoppable, speed[i]), ahead)
+                after = min(max(wanted, before - slowing), before + slowing)
+                out[i, k] = here + (2.0 * before + after) * step / 6.0
+                here, before = here + 0.5 * (before + after) * step, after
+        at[i], moving[i] = here, before
+    return out
 
 
 class Play:
@@ -256,8 +279,6 @@ def dithered(values: Array, tick: Array, noise: Array) -> Array:
 
     Exact to 1e-3 ticks up to a noise of half a tick; beyond, rounding hardly shows and the value itself is as good.
     """
-    from scipy.special import ndtr  # a quarter of a second to import, and a node needs it not
-
     here = tick[:, None]
     safe = np.where(here > 0, here, 1.0)
     spread = np.minimum(np.maximum(noise[:, None] / safe, 1e-9), 0.5)

@@ -99,7 +99,7 @@ def _kept() -> str:
 
 
 numba.config.CACHE_DIR = _kept()  # type: ignore[attr-defined]
-_CACHED = bool(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
+CACHED = bool(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
 
 
 def _pointer(kind: Any) -> Any:
@@ -142,7 +142,7 @@ _call_step: Any = intrinsic(_to_step)
 
 
 # Not inlined by numba, which would compile all of it again for every law; a step costs the same.
-@numba.njit(cache=_CACHED)  # type: ignore[untyped-decorator]
+@numba.njit(cache=CACHED)  # type: ignore[untyped-decorator]
 def state(raw: int) -> State:
     """What a law sees: `raw` is the one argument that it gets."""
     head = numba.carray(_integers(raw), (7,))
@@ -179,7 +179,7 @@ class Law:
 
     @cached_property
     def _compiled(self) -> Any:
-        return numba.cfunc(types.void(types.int64), cache=_CACHED)(self.function)
+        return numba.cfunc(types.void(types.int64), cache=CACHED)(self.function)
 
     @property
     def address(self) -> int:
@@ -211,7 +211,7 @@ def step_address() -> int:
     return int(ctypes.cast(library.mj_step, ctypes.c_void_p).value or 0)
 
 
-@numba.njit(nogil=True, cache=_CACHED)  # type: ignore[untyped-decorator]
+@numba.njit(nogil=True, cache=CACHED)  # type: ignore[untyped-decorator]
 def apply(laws: Addresses, raws: Addresses) -> None:
     """Calls laws (l,) for simulations, raws (n, l, 7), each in turn."""
     for i in range(raws.shape[0]):
@@ -219,7 +219,7 @@ def apply(laws: Addresses, raws: Addresses) -> None:
             _call(laws[k], raws[i, k, 0:7].ctypes.data)
 
 
-@numba.njit(nogil=True, cache=_CACHED)  # type: ignore[untyped-decorator]
+@numba.njit(nogil=True, cache=CACHED)  # type: ignore[untyped-decorator]
 def roll(
     step: int,
     model: int,

@@ -13,7 +13,7 @@ sequence is its length (uint32) and its elements.
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +91,12 @@ def typestore(definitions: Iterable[tuple[str, MessageDefinition]] = ()) -> Type
         if name not in store.fielddefs and definition.format != MessageDefinitionFormat.NONE:
             register(store, name, definition)
     return store
+
+
+@lru_cache(maxsize=16)
+def _shared(definitions: tuple[tuple[str, MessageDefinition], ...]) -> Typestore:
+    """The typestore of all bags with these definitions, for whoever only reads."""
+    return typestore(definitions)
 
 
 def register(store: Typestore, name: str, definition: MessageDefinition) -> None:
@@ -420,7 +426,7 @@ def read(path: Path | str, time_source: TimeSource = "header") -> Recording:
     if not any(raw.messages for raw in bag.topics.values()):
         raise InputError(f"{path}: the bag holds no messages. Expected a recording of a rig or a simulation.")
     try:
-        store = typestore((raw.type, raw.definition) for raw in bag.topics.values() if raw.type in READABLE)
+        store = _shared(tuple((raw.type, raw.definition) for raw in bag.topics.values() if raw.type in READABLE))
     except TypesysError as error:
         raise InputError(f"{path}: a message definition in the bag cannot be read ({error}).") from error
     readable = {name: raw for name, raw in bag.topics.items() if raw.type in READABLE}
