@@ -103,6 +103,7 @@ def test_a_search_without_shortcuts_says_the_same(unbalanced: tuple[Play, Diagno
     assert slow.evaluations > quick.evaluations
 
 
+@pytest.mark.study
 def test_a_model_that_was_fitted_to_the_same_recording_is_diagnosed_in_fewer_rollouts(
     unbalanced: tuple[Play, Diagnosis],
 ) -> None:
@@ -172,7 +173,13 @@ def test_effects_on_motion_and_on_sensors_are_told_apart(name: str) -> None:
     assert len(v.stated) <= 2
 
 
-@pytest.mark.parametrize(("effect", "only"), [("cogging", ("gravity_load",)), ("irregular_commands", ())])
+@pytest.mark.parametrize(
+    ("effect", "only"),
+    [
+        pytest.param("cogging", ("gravity_load",), marks=pytest.mark.study),
+        ("irregular_commands", ()),
+    ],
+)
 def test_what_no_effect_describes_is_called_unknown(effect: str, only: tuple[str, ...]) -> None:
     v = diagnose(wrong_model(), [as_play(recorded(effect))], only=only).verdict
     assert v.verdict == "unknown"

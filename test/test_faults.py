@@ -139,6 +139,7 @@ def share_kept(bench: Bench, found: Recording, begin: int, end: int) -> float:
     return float(np.isin(asked, found.stamps(STATES)).mean())
 
 
+@pytest.mark.study
 def test_a_full_disk_ends_the_recording_with_a_word_and_leaves_what_was_written(bench: Bench) -> None:
     bag = bench.recording("full")
     begin = bench.now()

@@ -75,6 +75,7 @@ def test_healthy_rigs_and_periods():
     assert found["failed"] == 0.0
 
 
+@pytest.mark.study
 def test_a_case_is_the_same_with_another_command_and_the_effect_can_be_chosen(tmp_path):
     plain, fresh = draw(325, tmp_path / "a", kind="outside"), draw(325, tmp_path / "b", kind="outside", fresh=True)
     assert plain.hidden == fresh.hidden and not plain.fresh and fresh.fresh

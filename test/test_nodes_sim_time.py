@@ -102,6 +102,7 @@ def test_a_sequence_is_played_and_recorded_by_the_simulation_s_clock(simulation:
     assert np.degrees(reached) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.study
 def test_a_player_by_another_clock_than_the_simulation_s_refuses_to_play(simulation: Simulation) -> None:
     simulation.begin(real_time_factor=2.0)
     simulation.until(lambda: simulation.states)

@@ -86,6 +86,7 @@ def test_the_judged_command_stays_within_what_was_fitted_and_is_another() -> Non
     assert fitted[:, 0].min() - 0.006 <= judged[:, 0].min() and judged[:, 0].max() <= fitted[:, 0].max()
 
 
+@pytest.mark.study
 def test_a_calibrated_model_prices_controllers_as_the_rig_does() -> None:
     """Without anything hidden the rig and the model share the costs of every task, though no line of physics."""
     model = load_model("labyrinth_mx64").with_values({"drive.x.delay": 0.02, "drive.y.delay": 0.02})

@@ -17,7 +17,7 @@ def compared(*arguments):
     return json.loads(result.stdout)
 
 
-@pytest.mark.parametrize("motion", ["step", "triangle", "sine"])
+@pytest.mark.parametrize("motion", ["triangle", *(pytest.param(m, marks=pytest.mark.study) for m in ("step", "sine"))])
 def test_three_repeats_make_a_tunnel_that_a_plain_model_leaves(motion, tmp_path):
     content = compared("--real", DATA / motion, "--model", "horn", "--out", tmp_path / "out")
     report = (tmp_path / "out" / "report.html").read_text()

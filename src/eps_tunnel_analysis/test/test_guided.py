@@ -65,6 +65,7 @@ def test_a_cut_back_is_found_with_its_values(search: Search) -> None:
     assert time == pytest.approx(CUT["time"], abs=0.01)
 
 
+@pytest.mark.study
 def test_what_is_no_event_is_given_up_under_the_firmest_hold() -> None:
     search = searched("constant_torque", None, "duty_cut_back.x")
     refit = bare(search)

@@ -47,6 +47,7 @@ def terms(model: Model) -> tuple[Term, Term]:
     return of_sensor, of_command
 
 
+@pytest.mark.study
 def test_a_belt_that_the_other_axis_turns_is_an_error_of_the_sensor_behind_it(model: Model) -> None:
     found = design(model, both(model.with_effect("cross_coupling", "y", {"share": SHARE})), commanded=False)
     first = depends(found, PART.signals).first

@@ -159,6 +159,7 @@ def test_the_offset_that_a_sensor_lacks_is_found(labyrinth: Model) -> None:
     assert board.to_json()["unit"] == "rad"
 
 
+@pytest.mark.study
 def test_the_offset_of_a_sensor_is_added_to_the_models_own_motion(sticking: Model) -> None:
     """With dry friction, the motion with the force that would explain the misfit as well is another one."""
     wrong = sticking.with_effect("sensor_gain", "board_x", {"gain": 1.1})

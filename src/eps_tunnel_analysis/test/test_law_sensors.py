@@ -33,6 +33,7 @@ def design(model: Model, play: Play) -> Design:
     return Design.of(missing_force(model, [play], PART, nthread=1, passes=1))
 
 
+@pytest.mark.study
 def test_a_sensor_that_is_late_is_off_by_its_speed_and_its_delay_is_found(model: Model) -> None:
     late = model.with_effect("sensor_delay", "board_x", {"delay": DELAY})
     found = design(model, alone(late))

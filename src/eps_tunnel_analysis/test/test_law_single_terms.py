@@ -81,6 +81,7 @@ def test_the_term_that_is_missing_is_named_where_the_linear_problem_does_not_nam
     assert {other.variable for other, _ in others} <= {"speed"}
 
 
+@pytest.mark.study
 def test_waves_are_found_though_the_linear_problem_finds_no_period(model: Model) -> None:
     rig = load_model("pendulum").with_effect(WAVES, "pendulum", {"size": 0.06})
     play = recorded(rig)

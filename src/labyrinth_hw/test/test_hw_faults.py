@@ -53,6 +53,7 @@ def test_without_potentiometers_no_joint_state_is_told_and_the_servos_go_on(runn
     assert all(len(state.name) == 4 for state in running.states)
 
 
+@pytest.mark.study
 def test_camera_gone_and_back_and_a_covered_lens(bench: Bench) -> None:
     bench.start_testbed("--video", "--video-rate", "15")
     bench.start_node()
@@ -72,7 +73,7 @@ def test_camera_gone_and_back_and_a_covered_lens(bench: Bench) -> None:
     bench.until(lambda: "no pictures" not in bench.status().get("message", ""), "good news about the camera")
 
 
-@pytest.mark.parametrize(("servo", "stops"), [("MX-64", False), ("MX-64-2", True)])
+@pytest.mark.parametrize(("servo", "stops"), [pytest.param("MX-64", False, marks=pytest.mark.study), ("MX-64-2", True)])
 def test_after_kill_9_the_watchdog_of_protocol_2_stops_the_servos(bench: Bench, servo: str, stops: bool) -> None:
     from labyrinth_hw.bus import ServoBus
     from labyrinth_hw.control_tables import servo_model
