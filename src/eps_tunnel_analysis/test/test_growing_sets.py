@@ -12,14 +12,17 @@ from fit_cases import TRUTH, plays, start
 from eps_tunnel_analysis.diagnose import sets as sets_module
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
+from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.sets import refitted_sets, settled
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 
 FRICTION, GAIN, TICK, WAVES = "direction_friction.x", "gain_error.x", "command_quantisation.x", "positioning_error.x"
 LIMIT, PROFILE = "rate_limit.x", "motion_profile.x"  # the second contains the first
 LOAD, BY_POWER = "load_friction.x", "directional_load_friction.x"  # so does this one, with two values for one
 EFFECTS = tuple(name.partition(".")[0] for name in (FRICTION, GAIN, TICK, WAVES, LIMIT, PROFILE, LOAD, BY_POWER))
+SHORT = 0.02  # share by which a descent was stopped before it was there
 
 Found = Callable[..., Refit]
 
@@ -168,3 +171,30 @@ def test_what_is_near_the_best_in_the_end_is_descended_until_it_rests(search: Se
     assert (rested.effects, unchanged) == ((LOAD,), far)
     assert stopped.cost > 1.5
     assert max(again.cost, rested.cost) < 1.05
+
+
+def test_a_base_that_was_stopped_short_rests_before_anything_is_looked_for(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grown: list[tuple[str, ...]] = []
+    told(monkeypatch, next_refits=growing(grown, {}), settled=settled)
+    stopped = search.at(search.start * np.where(np.arange(search.start.size) == 0, 1.0 + SHORT, 1.0), found(1.0))
+    assert SETTINGS.close < worst_floors(stopped.residuals, search.signal) / SETTINGS.healthy < 2.0
+    base, refits = refitted_sets(search, stopped)
+    assert not refits and not grown
+    assert worst_floors(base.residuals, search.signal) < SETTINGS.close * SETTINGS.healthy
+
+
+@pytest.mark.parametrize(("cost", "rested"), [(1.0, 0), (2.0, 1), (20.0, 0)])
+def test_only_a_base_that_leaves_a_little_is_descended_further_by_itself(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, cost: float, rested: int
+) -> None:
+    alone = []
+
+    def at_rest(_: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, Sequence[Refit]]:
+        alone.extend([base] * (not refits))
+        return base, refits
+
+    told(monkeypatch, next_refits=lambda *_, **__: [found(0.9, GAIN)], settled=at_rest)
+    refitted_sets(search, found(cost))
+    assert len(alone) == rested

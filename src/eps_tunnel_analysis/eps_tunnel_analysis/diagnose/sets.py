@@ -59,8 +59,9 @@ def refitted_sets(
     """
     refits: list[Refit] = []
     allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
-    worst = worst_floors(base.residuals, search.signal)
-    if search.library.candidates and (not floor or worst > SETTINGS.close * allowed):
+    if search.library.candidates and not _complete(search, base, allowed):
+        base = _rested(search, base, allowed)
+    if search.library.candidates and (not floor or not _complete(search, base, allowed)):
         refits = next_refits(search, [base], more=stated_jobs(search, base))
         # An effect must not be named only because it led to a better start of the base.
         points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
@@ -102,6 +103,21 @@ def refitted_sets(
         base, refits = with_fewer_again(search, base, refits)
         base, refits = settled(search, base, refits)
     return base, refits
+
+
+def _complete(search: Search, base: Refit, allowed: float) -> bool:
+    """Whether the base leaves too little for an effect to be looked for; `allowed` floors count as nothing missing."""
+    return worst_floors(base.residuals, search.signal) <= SETTINGS.close * allowed
+
+
+def _rested(search: Search, base: Refit, allowed: float) -> Refit:
+    """The base where it leaves little more than a healthy rig: its descents go on until it rests, with shorter steps if
+    it needs these. What they stopped short of would be taken for something missing, and the whole library tried.
+    """
+    if worst_floors(base.residuals, search.signal) > NEAR_BEST * allowed:
+        return base
+    base, _ = refined(search, base, [])
+    return base if _complete(search, base, allowed) else settled(search, base, [])[0]
 
 
 def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
