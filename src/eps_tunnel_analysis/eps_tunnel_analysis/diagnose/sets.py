@@ -59,7 +59,7 @@ def refitted_sets(
     """
     refits: list[Refit] = []
     allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
-    if search.library.candidates and not _complete(search, base, allowed):
+    if search.library.candidates:
         base = _rested(search, base, allowed)
     if search.library.candidates and (not floor or not _complete(search, base, allowed)):
         refits = next_refits(search, [base], more=stated_jobs(search, base))
@@ -114,7 +114,7 @@ def _rested(search: Search, base: Refit, allowed: float) -> Refit:
     """The base where it leaves little more than a healthy rig: its descents go on until it rests, with shorter steps if
     it needs these. What they stopped short of would be taken for something missing, and the whole library tried.
     """
-    if worst_floors(base.residuals, search.signal) > NEAR_BEST * allowed:
+    if _complete(search, base, allowed) or worst_floors(base.residuals, search.signal) > NEAR_BEST * allowed:
         return base
     base, _ = refined(search, base, [])
     return base if _complete(search, base, allowed) else settled(search, base, [])[0]

@@ -21,7 +21,7 @@ from labyrinth_hw.testbed.servo import (
     karnopp_step,
     level,
     position_error,
-)  # fmt: skip
+)
 
 
 class History:
