@@ -60,6 +60,8 @@ def test_a_model_knows_the_recordings_of_the_diagnosis_that_it_comes_from(found:
     assert not was_fitted(options.recorded(file, bags[:2]))
     verdict = diagnose_recorded(again, options, DiagnosisRun()).diagnosis.verdict
     assert verdict.verdict == "complete"
+    anew = replace(again, model=replace(again.model, provenance={}))
+    assert verdict.evaluations < diagnose_recorded(anew, options, DiagnosisRun()).diagnosis.verdict.evaluations
 
 
 def test_the_model_of_an_undecided_diagnosis_is_the_given_one_refitted(found: Findings, tmp_path: Path) -> None:

@@ -141,6 +141,13 @@ class RateLimit:
         return _rate_limited(np.ascontiguousarray(own), self.most, self.free, self.last)
 
 
+@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
+def _straight(ahead: float, most: float) -> tuple[float, float]:
+    """The way of one sample towards what is `ahead`, at most `most`, and by how much its mean is behind its end."""
+    way = min(max(ahead, -most), most)
+    return way, 0.5 * way * abs(way) / most
+
+
 @numba.njit(cache=CACHED, error_model="numpy")  # type: ignore[untyped-decorator]
 def _rate_limited(own: Array, most: Array, free: NDArray[np.bool_], last: Array) -> Array:
     """The samples that `RateLimit` gives; `last` becomes where it stands."""
@@ -152,9 +159,9 @@ def _rate_limited(own: Array, most: Array, free: NDArray[np.bool_], last: Array)
             if free[i] or np.isnan(at) or np.isnan(now):
                 at = out[i, k] = now
             else:
-                way = min(max(now - at, -limit), limit)
+                way, behind = _straight(now - at, limit)
                 at = at + way
-                out[i, k] = at - 0.5 * way * abs(way) / limit
+                out[i, k] = at - behind
         last[i] = at
     return out
 
@@ -199,8 +206,8 @@ def _profiled(
                 here, before = goal, 0.0
                 out[i, k] = goal
             elif abrupt[i]:  # it moves at full speed until it is there, as `RateLimit` does
-                way = min(max(goal - here, -most), most)
-                out[i, k] = here + (way - 0.5 * way * abs(way) / most)
+                way, behind = _straight(goal - here, most)
+                out[i, k] = here + (way - behind)
                 here, before = here + way, 0.0
             else:
                 ahead = goal - here - 0.5 * before * step

@@ -38,6 +38,7 @@ BEGINNINGS = 3  # effects of which a little is added to the base, before further
 RIVALS = 4  # of an effect that are refitted in its place
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
+NEAR_COMPLETE = 2.0  # times what counts as nothing missing; a base that leaves less is descended until it rests
 SETTLED_ROUNDS = 12  # at most, of the sets near the best, in the end
 SOFTENED = 3  # best sets that are tried with friction of the model that sets in gradually
 
@@ -57,51 +58,52 @@ def refitted_sets(
     Returns:
         The base, from a better start if the effects showed one, and a refit of each set that was tried.
     """
-    refits: list[Refit] = []
     allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
-    if search.library.candidates:
-        base = _rested(search, base, allowed)
-    if search.library.candidates and (not floor or not _complete(search, base, allowed)):
-        refits = next_refits(search, [base], more=stated_jobs(search, base))
-        # An effect must not be named only because it led to a better start of the base.
-        points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
-        base = better_base(search, base, points, lowest([base, *refits]).cost)
-        best = lowest([base, *refits])
-        replaced = {frozenset(best.effects)}  # sets whose rivals were tried
-        refits = best_by_set([*refits, *rival_refits(search, best, refits)])
-        base, refits = refined(search, base, refits)
-        best = lowest([base, *refits])
+    if not search.library.candidates:
+        return base, []
+    base = _rested(search, base, allowed)
+    if floor and _complete(search, base, allowed):
+        return base, []
+    refits = next_refits(search, [base], more=stated_jobs(search, base))
+    # An effect must not be named only because it led to a better start of the base.
+    points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
+    base = better_base(search, base, points, lowest([base, *refits]).cost)
+    best = lowest([base, *refits])
+    replaced = {frozenset(best.effects)}  # sets whose rivals were tried
+    refits = best_by_set([*refits, *rival_refits(search, best, refits)])
+    base, refits = refined(search, base, refits)
+    best = lowest([base, *refits])
+    worth = _explains(base, best)
+    lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
+    if lacking(best, refits):
+        fitted = {r.effects: r for r in (base, best)}.values()
+        ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
+        more = [*ticks, *event_refits(search, [*fitted], allowed)]
+        refits = best_by_set([*refits, *more])
+        best = lowest([best, *more])
         worth = _explains(base, best)
-        lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
-        if lacking(best, refits):
-            fitted = {r.effects: r for r in (base, best)}.values()
-            ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
-            more = [*ticks, *event_refits(search, [*fitted], allowed)]
-            refits = best_by_set([*refits, *more])
-            best = lowest([best, *more])
-            worth = _explains(base, best)
-        for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
-            same = [r for r in refits if len(r.effects) == size]
-            if not (worth and same and lacking(best, refits)):
-                break
-            on = lowest(same)
-            beside = begun(search, base, refits) if size == 1 else []
-            more = next_refits(search, [on, *_runners_up(on, refits), *beside], PAIR_SHORTLIST)
-            if more:
-                better = lowest(more)
-                replaced.add(frozenset(better.effects))
-                more += rival_refits(search, better, [*refits, *more])
-            refits = best_by_set([*refits, *more])
-            best = lowest([best, *more])
-            worth = _explains(on, best)
-        base, refits = nested_refits(search, base, refits)
-        best = lowest([base, *refits])
-        if best.effects and frozenset(best.effects) not in replaced:
-            refits = best_by_set([*refits, *rival_refits(search, best, refits)])
-        refits = best_by_set([*refits, *general_refits(search, refits)])
-        base, refits = refined(search, base, refits)
-        base, refits = with_fewer_again(search, base, refits)
-        base, refits = settled(search, base, refits)
+    for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
+        same = [r for r in refits if len(r.effects) == size]
+        if not (worth and same and lacking(best, refits)):
+            break
+        on = lowest(same)
+        beside = begun(search, base, refits) if size == 1 else []
+        more = next_refits(search, [on, *_runners_up(on, refits), *beside], PAIR_SHORTLIST)
+        if more:
+            better = lowest(more)
+            replaced.add(frozenset(better.effects))
+            more += rival_refits(search, better, [*refits, *more])
+        refits = best_by_set([*refits, *more])
+        best = lowest([best, *more])
+        worth = _explains(on, best)
+    base, refits = nested_refits(search, base, refits)
+    best = lowest([base, *refits])
+    if best.effects and frozenset(best.effects) not in replaced:
+        refits = best_by_set([*refits, *rival_refits(search, best, refits)])
+    refits = best_by_set([*refits, *general_refits(search, refits)])
+    base, refits = refined(search, base, refits)
+    base, refits = with_fewer_again(search, base, refits)
+    base, refits = settled(search, base, refits)
     return base, refits
 
 
@@ -114,7 +116,7 @@ def _rested(search: Search, base: Refit, allowed: float) -> Refit:
     """The base where it leaves little more than a healthy rig: its descents go on until it rests, with shorter steps if
     it needs these. What they stopped short of would be taken for something missing, and the whole library tried.
     """
-    if _complete(search, base, allowed) or worst_floors(base.residuals, search.signal) > NEAR_BEST * allowed:
+    if _complete(search, base, allowed) or worst_floors(base.residuals, search.signal) > NEAR_COMPLETE * allowed:
         return base
     base, _ = refined(search, base, [])
     return base if _complete(search, base, allowed) else settled(search, base, [])[0]

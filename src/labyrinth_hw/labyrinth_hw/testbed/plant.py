@@ -97,7 +97,7 @@ class Belt:
             torque = torque + q.belt_hysteresis_stiffness * self.inner
         if self.loose:
             surplus = np.sign(torque) * np.maximum(np.abs(torque) - q.mount_friction, 0.0)
-            self.shift = np.clip(self.shift - dt * surplus / MOUNT_DRAG, -0.5 * q.mount_play, 0.5 * q.mount_play)
+            self.shift = clipped(self.shift - dt * surplus / MOUNT_DRAG, -0.5 * q.mount_play, 0.5 * q.mount_play)
         return torque
 
     def on_board(self, q: SimpleNamespace, torque: Array) -> Array:
