@@ -149,3 +149,38 @@ def test_it_ends_while_it_waits_for_its_ports(bench: Bench, how: int) -> None:
     assert bench.node is not None
     bench.node.send_signal(how)
     assert bench.ended(SOON)[0] == 0
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_context_taken_away_while_the_executor_gathers_what_to_wait_for_ends_the_node(
+    monkeypatch: pytest.MonkeyPatch, domain: int, ends: bool
+) -> None:
+    """A signal comes at any moment; what the middleware refuses while the context stands is still an error."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
+    from labyrinth_hw.nodes.start import spin
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("interrupted", context=context)
+    real = rclpy_implementation.WaitSet
+
+    def at_the_wait_set(*entities: object) -> object:
+        if not ends:
+            raise rclpy_implementation.RCLError("refused")
+        context.shutdown()
+        return real(*entities)
+
+    monkeypatch.setattr("rclpy.executors._rclpy.WaitSet", at_the_wait_set)
+    try:
+        executor = SingleThreadedExecutor(context=context)
+        if ends:
+            spin(node, executor)
+        else:
+            with pytest.raises(rclpy_implementation.RCLError, match="refused"):
+                spin(node, executor)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()

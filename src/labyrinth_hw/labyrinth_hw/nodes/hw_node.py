@@ -20,7 +20,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -32,7 +31,7 @@ from labyrinth_hw.devices import ask_for_priority
 from labyrinth_hw.errors import BusError, HardwareError, InputError
 from labyrinth_hw.hardware import Hardware, Measurement, hardware_health
 from labyrinth_hw.nodes.messages import Stamps, ball_state, board_state, camera_info, diagnostics, image, joint_state
-from labyrinth_hw.nodes.start import start_ros
+from labyrinth_hw.nodes.start import spin, start_ros
 from labyrinth_hw.safety import Goal, State
 from labyrinth_hw.settings import load_hardware
 from labyrinth_hw.vision import Sight, Vision, lens_of
@@ -476,9 +475,7 @@ def main(args: Sequence[str] | None = None) -> None:
         rclpy.try_shutdown()
         sys.exit(0 if interrupted else 2)
     try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        spin(node)
     finally:
         node.close()
         node.destroy_node()

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node's program starts: its words checked, ROS begun, one line where either fails."""
+"""How a node's program starts, with one line where words or ROS fail; and how it is spun until a signal ends it."""
 
 import re
 import sys
 from collections.abc import Sequence
 
 import rclpy
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 EXPECTED = "Expected `--ros-args -p PARAMETER:=VALUE ...`, `-r FROM:=TO` or `--params-file FILE`."
@@ -41,3 +43,18 @@ def refuse(program: str, complaint: str) -> None:
     """Ends the program with exit code 2."""
     print(f"{program}: {complaint} {EXPECTED}", file=sys.stderr)
     raise SystemExit(2)
+
+
+def spin(node: Node, executor: Executor | None = None) -> None:
+    """Serves a node's callbacks until its context is shut down, which a signal's handler may do at any moment.
+
+    Args:
+        executor: rclpy's global one if None.
+    """
+    try:
+        rclpy.spin(node, executor)
+    except ExternalShutdownException:
+        pass
+    except rclpy_implementation.RCLError:  # the context was taken away between the executor's look at it and its use
+        if node.context.ok():
+            raise
