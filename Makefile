@@ -47,12 +47,14 @@ demo: setup ## find what an emulated rig hides: gap, where, why, add, gap again;
 
 # Three workers, for two cores: conftest.py gives one of them the tests that run against real time, which mostly wait.
 WORKERS := -n 3 --dist loadgroup --no-loadscope-reorder
+# The tests start hundreds of processes, each of which would compile every module again that it imports.
+TESTS := PYTHONDONTWRITEBYTECODE= python -m pytest $(WORKERS)
 
 test: setup ## run the tests, but for long studies; PYTEST='-k tunnel -x' passes options on
-	@$(RUN) python -m pytest $(WORKERS) -m 'not study' $(PYTEST)
+	@$(RUN) $(TESTS) -m 'not study' $(PYTEST)
 
 studies: setup ## run the long studies among the tests, too: whole diagnoses, loops and pages of the docs
-	@$(RUN) python -m pytest $(WORKERS) -m study $(PYTEST)
+	@$(RUN) $(TESTS) -m study $(PYTEST)
 
 lint: setup ## check style, formatting and types
 	@$(RUN) ruff check $(LINTED)

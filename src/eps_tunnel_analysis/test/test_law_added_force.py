@@ -46,6 +46,21 @@ def test_a_constant_force_over_time_is_a_constant_torque(model: Model) -> None:
     assert np.sqrt(np.mean(nothing**2)) < 2e-4 < np.abs(pushed).max()
 
 
+@pytest.mark.parametrize("at_load", [False, True])
+def test_each_simulation_gets_its_own_row_step_by_step(model: Model, at_load: bool) -> None:
+    playing = Playing(model, [played(model)], "x", SIGNALS, at_load=at_load)
+    count = playing.count(0)
+    table = np.zeros((3, count))
+    table[1, count // 2 :] = table[2] = 0.05
+    nothing, later, always = playing.residuals(0, table)
+    time = playing.evidence[0].time
+    before = time < playing.evidence[0].times(0)[count // 2] - 2 * STEP  # samples are read between steps
+    assert np.array_equal(later[before], nothing[before]) and not np.array_equal(always[before], nothing[before])
+    assert np.abs(later - nothing)[~before].max() > 1e-3
+    assert np.array_equal(playing.residuals(0, table[1:2])[0], later)
+    assert playing.motion(0, table[1]).angle[count // 2 - 1] == playing.motion(0).angle[count // 2 - 1]
+
+
 def test_the_motion_is_that_of_the_roll_out(model: Model) -> None:
     playing = Playing(model, [played(model)], "x", SIGNALS)
     motion = playing.motion(0)

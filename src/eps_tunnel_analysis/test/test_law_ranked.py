@@ -114,16 +114,16 @@ def both(seconds: float = 2.0) -> np.ndarray:
     return np.stack([0.06 * np.sin(2 * np.pi * t), 0.05 * np.sin(2 * np.pi * 1.7 * t)], axis=1)
 
 
-def pushed(model: Model, axis: str, at_load: bool, torque: float) -> Model:
-    """The model with a constant torque on one side of an axis."""
+def pushed(model: Model, axis: str, at_load: bool, torque: float) -> Play:
+    """What is recorded while a constant torque acts on one side of an axis."""
     forces = Forces(axis, at_load)
-    forces.table = np.full((1, 1), torque)
-    return forces.into(model).with_values({forces.name: 1.0})
+    (values,) = forces.values(np.full((1, 1), torque), np.ones(1))
+    return played(forces.into(model).with_values(dict(zip(forces.names, values, strict=True))), both(), 1, 1e-4)
 
 
 @pytest.mark.study
 def test_a_force_behind_a_belt_is_found_on_the_load_and_on_every_axis_that_lacks_one(labyrinth: Model) -> None:
-    plays = [played(pushed(labyrinth, "x", True, 0.05), both(), 1, 1e-4)]
+    plays = [pushed(labyrinth, "x", True, 0.05)]
     behind = missing_force(labyrinth, plays, PARTS["x"], nthread=1, passes=2, at_load=True)
     assert behind.side == "load"
     assert np.median(behind.plays[0].force) == pytest.approx(0.05, rel=0.05)

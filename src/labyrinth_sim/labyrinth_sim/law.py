@@ -170,6 +170,12 @@ def state(raw: int) -> State:
     )  # fmt: skip
 
 
+@numba.njit(cache=CACHED)  # type: ignore[untyped-decorator]
+def numbers_at(address: float, count: int) -> Any:
+    """(count,) numbers at an address, which a law may get among its values: a number holds one exactly, to 2^53."""
+    return numba.carray(_doubles(int(address)), (count,))
+
+
 class Law:
     """A compiled function of one simulation; `address` compiles it the first time."""
 

@@ -12,6 +12,7 @@ from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.filters import Map
+from labyrinth_sim.law import law, numbers_at, state
 from labyrinth_sim.live import Live
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
@@ -22,6 +23,8 @@ STEP = 0.0025  # s, at most, between the steps of a roll-out
 STANDSTILL = 1e-3  # rad/s, m/s; below it a joint keeps its direction
 COVERED = 1.02  # times the visited range that a curve covers
 LAST_ROW = 1e6
+LAST_STEP = 1e9
+MOST_ADDRESS = 2.0**53  # up to which a number holds every address exactly
 
 
 @dataclass(frozen=True)
@@ -73,75 +76,108 @@ def unlisted(name: str, title: str, physics: str, equation: str, *parameters: Pa
     )
 
 
-class Tables:
-    """Tables over time that are added to one axis, a row of the table for each simulation; hooks are added to `effect`.
+ROW = Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing")
+
+
+class Forces:
+    """Tables of force over time (N m) that are added to one axis, a row of the table for each simulation.
 
     Args:
         axis: short name.
-        name, title, equation: of the effect.
+        at_load: whether they act on the load's joint.
+
+    Attributes:
+        names: full names of what says which row of which table acts.
     """
 
-    def __init__(self, axis: str, name: str, title: str, equation: str) -> None:
+    def __init__(self, axis: str, at_load: bool = False) -> None:
+        self.effect = replace(
+            unlisted(
+                "added_force", "Added force", "A force over time, as a table.", "torque = table", ROW,
+                Parameter("address", "1", 0.0, MOST_ADDRESS, None, 0.0, "of the table in memory"),
+                Parameter("steps", "1", 0.0, LAST_STEP, None, 0.0, "of a row"),
+                Parameter("at_load", "1", 0.0, 1.0, None, 0.0, "1 for the load's joint"),
+            ),
+            step=_add,
+            steps_with="row",
+        )  # fmt: skip
+        self.names = tuple(f"added_force.{axis}.{name}" for name in ("row", "address", "steps"))
+        self._axis, self._at_load = axis, at_load
+        self._table: Array = np.zeros((1, 1))
+
+    def into(self, model: Model) -> Model:
+        """The model with this effect, which adds nothing until asked."""
+        none = {"row": 0.0, "address": 0.0, "steps": 0.0}
+        return model.with_effect(self.effect, self._axis, none | {"at_load": float(self._at_load)})
+
+    def values(self, table: Array, rows: Array) -> Array:
+        """(n, 3) of `names` for simulations that get these rows (n,) of a table (m, K), from 1.
+
+        The table is kept until the next one is given, and not a moment longer.
+        """
+        self._table = np.ascontiguousarray(table, dtype=np.float64)
+        where = np.array([self._table.ctypes.data, self._table.shape[1]], dtype=np.float64)
+        return np.column_stack([rows, np.broadcast_to(where, (len(rows), 2))])
+
+
+@law
+def _add(raw):  # type: ignore[no-untyped-def]
+    s = state(raw)
+    row, address, steps = s.values[0], s.values[1], int(s.values[2])
+    if row > 0.0:
+        k = (int(row) - 1) * steps + min(int(s.memory[0]), steps - 1)
+        dof = s.load_dof if s.values[3] > 0.0 else s.dof
+        s.applied[dof] += numbers_at(address, k + 1)[k]
+    s.memory[0] += 1.0
+
+
+class Tracer:
+    """Records what one simulation goes through, step by step."""
+
+    def __init__(self, axis: str) -> None:
+        on = Parameter("on", "1", 0.0, 1.0, 0.0, 1.0, "1 to record")
+        self.effect = replace(unlisted("tracer", "Tracer", "Nothing.", "none", on), step=self._step, order=1001)
+        self._axis = axis
+        self._seen: list[list[float]] = []
+
+    def into(self, model: Model) -> Model:
+        """The model with this effect."""
+        return model.with_effect(self.effect, self._axis, {"on": 1.0})
+
+    def _step(self, live: Live, site: Site, values: Values) -> None:
+        other = live.drives[site.others[0]].qpos if site.others else -1
+        carried = live.actuator[0, site.dof] - live.passive[0, site.dof] + live.bias[0, site.dof]
+        self._seen.append(
+            [
+                live.qpos[0, site.qpos],
+                live.qvel[0, site.dof],
+                carried,
+                live.actuator[0, site.dof],
+                live.qpos[0, other],
+            ]
+        )
+
+    def taken(self) -> Array:
+        """(K, 5) angle, speed, load, drive's torque and other angle at the start of each step; then it begins anew."""
+        table, self._seen = np.array(self._seen), []
+        return table
+
+
+class Setpoints:
+    """Tables of offsets over time (rad) that are added to the command of one axis, a row for each simulation."""
+
+    def __init__(self, axis: str) -> None:
         self.table: Array = np.zeros((1, 1))  # (rows, K)
-        row = Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing")
-        self.effect = unlisted(name, title, "An offset over time, as a table.", equation, row)
-        self.name = f"{name}.{axis}.row"
+        about = "An offset over time, as a table."
+        made = unlisted("added_setpoint", "Added setpoint", about, "u' = u + table", ROW)
+        # Before any delay: what is added is an error of the command as it was sent.
+        self.effect = replace(made, stage="command", order=0, command=self._command)
+        self.name = f"added_setpoint.{axis}.row"
         self._axis = axis
 
     def into(self, model: Model) -> Model:
         """The model with this effect, which adds nothing until asked."""
         return model.with_effect(self.effect, self._axis, {"row": 0.0})
-
-
-class Forces(Tables):
-    """Adds tables of force over time (N m), and records one simulation."""
-
-    def __init__(self, axis: str, at_load: bool = False) -> None:
-        super().__init__(axis, "added_force", "Added force", "torque = table")
-        self.effect = replace(self.effect, step=self._step)
-        self.at_load = at_load
-        self._seen: list[list[float]] | None = None
-
-    def _step(self, live: Live, site: Site, values: Values) -> None:
-        count = live.memory.setdefault("added_force", np.zeros(1))
-        k = min(int(count[0]), self.table.shape[1] - 1)
-        rows = values["row"].astype(np.int64)
-        dof = site.load_dof if self.at_load else site.dof
-        force = np.where(rows > 0, self.table[np.maximum(rows - 1, 0), k], 0.0)
-        if self._seen is not None:
-            other = live.drives[site.others[0]].qpos if site.others else -1
-            carried = live.actuator[0, site.dof] - live.passive[0, site.dof] + live.bias[0, site.dof]
-            self._seen.append(
-                [
-                    live.qpos[0, site.qpos],
-                    live.qvel[0, site.dof],
-                    carried,
-                    live.actuator[0, site.dof],
-                    live.qpos[0, other],
-                ]
-            )
-        live.applied[:, dof] += force
-        count += 1.0
-
-    def record(self) -> None:
-        """Records the next simulation."""
-        self._seen = []
-
-    def recorded(self) -> Array:
-        """(K, 5) angle, speed, load, drive's torque and other angle at the start of each step."""
-        assert self._seen is not None
-        table = np.array(self._seen)
-        self._seen = None
-        return table
-
-
-class Setpoints(Tables):
-    """Adds tables of offsets over time (rad) to the command."""
-
-    def __init__(self, axis: str) -> None:
-        super().__init__(axis, "added_setpoint", "Added setpoint", "u' = u + table")
-        # Before any delay: what is added is an error of the command as it was sent.
-        self.effect = replace(self.effect, stage="command", order=0, command=self._command)
 
     def _command(self, values: Values, site: Site, step: float, start: Array) -> Map:
         rows = values["row"].astype(np.int64)
@@ -172,10 +208,10 @@ class Playing:
         nthread: int = 0,
     ) -> None:
         self.axis, self.signals, self.free = axis, tuple(signals), tuple(free)
-        self.forces, self.setpoints = Forces(axis, at_load), Setpoints(axis)
-        self.model = self.setpoints.into(self.forces.into(model))
+        self._forces, self._setpoints, self._tracer = Forces(axis, at_load), Setpoints(axis), Tracer(axis)
+        self.model = self._setpoints.into(self._forces.into(model))
         self.plays = tuple(play_evidence(self.model, play, signals) for play in plays)
-        free = (*self.free, self.forces.name, self.setpoints.name)
+        free = (*self.free, *self._forces.names, self._setpoints.name)
         self.evidence = tuple(Evidence(self.model, free, [p], signals, STEP, nthread) for p in self.plays)
         self.values = np.array([self.model.values()[name] for name in self.free])
         self.nthread = nthread
@@ -191,18 +227,17 @@ class Playing:
         Args:
             values: (n, k) of the free values, those of the model by default.
         """
-        self.forces.table = table
-        numbers = _numbers(table)
-        return self.evidence[play](self._rows(numbers, np.zeros_like(numbers), values))
+        every = np.arange(1, len(table) + 1, dtype=float)
+        return self.evidence[play](self._rows(self._forces.values(table, every), np.zeros(len(table)), values))
 
     def residuals_commanded(self, play: int, table: Array) -> Array:
         """(n, R) the same under offsets (n, K) rad of the axis's command, without a force."""
-        self.setpoints.table = table
-        numbers = _numbers(table)
-        return self.evidence[play](self._rows(np.zeros_like(numbers), numbers))
+        self._setpoints.table = table
+        none = self._forces.values(np.zeros((1, 1)), np.zeros(len(table)))
+        return self.evidence[play](self._rows(none, np.arange(1, len(table) + 1, dtype=float)))
 
     def _rows(self, forces: Array, setpoints: Array, values: Array | None = None) -> Array:
-        """(n, k + 2) of all free parameters, from the rows (n,) of forces and of offsets."""
+        """(n, k + 4) of all free parameters, from what `Forces.values` gives (n, 3) and the rows of offsets (n,)."""
         free = np.broadcast_to(self.values if values is None else values, (len(forces), len(self.free)))
         return np.column_stack([free, forces, setpoints])
 
@@ -210,15 +245,15 @@ class Playing:
         """The axis's motion under a force over time (K,) N m, none by default."""
         evidence = self.evidence[play]
         count = evidence.count(0)
-        self.forces.table = np.zeros((1, count)) if force is None else np.asarray(force)[None]
-        self.forces.record()
+        own = self._forces.values(np.zeros((1, count)) if force is None else np.asarray(force)[None], np.ones(1))
+        self._tracer.taken()
         simulate_batch(
-            self.model, (*self.free, self.forces.name), np.append(self.values, 1.0)[None], evidence.times(0),
-            evidence.commands[0][None], evidence.initial[0],
+            self._tracer.into(self.model), (*self.free, *self._forces.names), np.append(self.values, own[0])[None],
+            evidence.times(0), evidence.commands[0][None], evidence.initial[0],
             per_command=evidence.known, resting=evidence.resting[0],
             signals=self.signals, timestep=evidence.step(0), nthread=1, means=True,
         )  # fmt: skip
-        seen = self.forces.recorded()[:count]
+        seen = self._tracer.taken()[:count]
         angle, speed, load, drive, other = seen.T
         step, others = evidence.step(0), len(self.model.rig.axes) > 1
         targets = np.nan_to_num(evidence.commands[0][: len(seen)])
@@ -228,11 +263,6 @@ class Playing:
             evidence.commands[0][: len(seen), self._channel],
             *((other, targets[:, 0 if self._channel else 1]) if others else (np.empty(0), np.empty(0))),
         )  # fmt: skip
-
-
-def _numbers(table: Array) -> Array:
-    """(n,) of a table's rows (n, K), from 1."""
-    return np.arange(1, len(table) + 1, dtype=float)
 
 
 def _reversals(speed: Array, step: float) -> tuple[Array, Array]:
