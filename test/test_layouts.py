@@ -6,6 +6,7 @@ import re
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +46,17 @@ STORE = store()
 POSITIONS = [
     name for name, unit in zip(load_rig("labyrinth").signals, load_rig("labyrinth").units, strict=True) if unit == "rad"
 ]
-TOPICS = {
-    "/" + name.replace("NS", side).replace("SIGNAL", signal).lstrip("/"): kind
-    for name, kind in nodes.topics().items()
-    for side in ("real", "sim")
-    for signal in POSITIONS
-}
+
+
+@cache
+def topics() -> dict[str, str]:
+    """Name -> type of every topic of the labyrinth's nodes."""
+    return {
+        "/" + name.replace("NS", side).replace("SIGNAL", signal).lstrip("/"): kind
+        for name, kind in nodes.topics().items()
+        for side in ("real", "sim")
+        for signal in POSITIONS
+    }
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +83,8 @@ def is_number(kind: str, field: str, index: str | None) -> bool:
 
 def split(series: str) -> tuple[str, str]:
     """The topic that a path begins with, and the rest."""
-    topic = max((t for t in TOPICS if series.startswith(t)), key=len, default="")
-    assert topic, f"{series}: no such topic. Topics: {', '.join(sorted(TOPICS))}"
+    topic = max((t for t in topics() if series.startswith(t)), key=len, default="")
+    assert topic, f"{series}: no such topic. Topics: {', '.join(sorted(topics()))}"
     return topic, series[len(topic) :]
 
 
@@ -103,14 +109,14 @@ def paths_of_foxglove() -> Iterator[str]:
 @pytest.mark.parametrize("series", sorted(set(series_of_plotjuggler())))
 def test_every_series_of_plotjuggler_exists(series: str, order: dict[str, list[str]]) -> None:
     topic, rest = split(series)
-    if TOPICS[topic] == JOINT_STATE:  # PlotJuggler names these by joint
+    if topics()[topic] == JOINT_STATE:  # PlotJuggler names these by joint
         joint, field = rest.strip("/").split("/")
         assert joint in order[topic.rsplit("/", 1)[1]]
         assert is_number(JOINT_STATE, field, "0")
     else:
         match = re.fullmatch(r"/(\w+)(?:\[(\d+)\])?", rest)
         assert match, series
-        assert is_number(TOPICS[topic], match[1], match[2]), series
+        assert is_number(topics()[topic], match[1], match[2]), series
 
 
 @pytest.mark.parametrize("path", sorted(set(paths_of_foxglove())))
@@ -119,10 +125,10 @@ def test_every_path_of_foxglove_exists(path: str) -> None:
     match = re.fullmatch(r"(?:\{(\w+)==(?:true|false|\d+)\})?(?:\.(\w+)(?:\[(\d+)\])?)?", rest)
     assert match, path
     condition, field, index = match.groups()
-    assert condition is None or is_number(TOPICS[topic], condition, None)
+    assert condition is None or is_number(topics()[topic], condition, None)
     # A state may also be a word.
-    words = field == "sequence" and field in dict(STORE.fielddefs[TOPICS[topic]][1])
-    assert field is None or words or is_number(TOPICS[topic], field, index), path
+    words = field == "sequence" and field in dict(STORE.fielddefs[topics()[topic]][1])
+    assert field is None or words or is_number(topics()[topic], field, index), path
 
 
 def test_both_show_every_stream() -> None:

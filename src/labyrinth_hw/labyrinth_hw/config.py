@@ -15,11 +15,13 @@ from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from yaml.events import CollectionEndEvent, CollectionStartEvent
 
 from labyrinth_hw.errors import InputError, unknown_name
 
 VARIABLE = "EPS_TUNNEL_CONFIG"
 SUFFIXES = (".yaml", ".yml")
+LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C where it was built
 LARGEST = 1_000_000  # bytes of a file; a rig takes a few thousand
 DEEPEST = 20  # levels of nesting; a rig has four
 MOST = 20_000  # values, aliases written out
@@ -131,29 +133,41 @@ def read(path: Path | str) -> YamlFile:
             data = file.read(LARGEST + 1)
         if len(data) > LARGEST:
             raise InputError(f"{path}: larger than {LARGEST} bytes; is this the right file?")
-        root = yaml.compose(data.decode("utf-8"), Loader=yaml.SafeLoader)
+        _check_depth(data.decode("utf-8"), path)
+        root = yaml.compose(data.decode("utf-8"), Loader=LOADER)
         lines = dict(_lines(root, (), path)) if root is not None else {}
         if len(lines) > MOST:
             raise InputError(f"{path}: more than {MOST} values, aliases (*) written out; is this the right file?")
-        content = yaml.safe_load(data)
+        content = yaml.load(data, Loader=LOADER)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, OverflowError, RecursionError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
-        text = "nested too deep" if isinstance(error, RecursionError) else str(error)
-        raise InputError(f"{path}: not a YAML file: {text}") from error
+        raise InputError(f"{path}: not a YAML file: {error}") from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a mapping of names to values, got {type(content).__name__}.")
     return YamlFile(path, content, lines)
+
+
+def _check_depth(text: str, path: Path) -> None:
+    """Refuses by the parser's events what is nested so deep that the rest of it would run out of stack."""
+    depth = 0
+    for event in yaml.parse(text, Loader=LOADER):
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        _refuse_beyond_deepest(depth - 1, path, event.start_mark)  # the file is a mapping itself
+
+
+def _refuse_beyond_deepest(depth: int, path: Path, mark: Any) -> None:
+    if depth > DEEPEST:
+        raise InputError(f"{path}, line {mark.line + 1}: nested deeper than {DEEPEST} levels.")
 
 
 def _lines(node: yaml.Node, place: Place, path: Path, count: list[int] | None = None) -> Iterator[tuple[Place, int]]:
     """Place and line of every value, before anything is built; stops beyond the bounds."""
     count = [0] if count is None else count
     count[0] += 1
-    if len(place) > DEEPEST:
-        raise InputError(f"{path}, line {node.start_mark.line + 1}: nested deeper than {DEEPEST} levels.")
+    _refuse_beyond_deepest(len(place), path, node.start_mark)
     yield place, node.start_mark.line + 1
     if count[0] > MOST:
         return

@@ -137,9 +137,10 @@ def build_spec(model: Model) -> tuple[mujoco.MjSpec, Plan]:
     rig = model.rig
     kinds = tuple(model.drives[axis.name].kind for axis in rig.axes)
     uses = tuple(sorted(((u.effect, u.place) for u in model.effects), key=lambda use: use[0].order))
-    spec = _spec(rig, kinds, uses, rig.mjcf, rig.ball is not None)
+    with_ball = rig.ball is not None
+    spec = _with_effects(_checked(rig, rig.mjcf, with_ball)[0], rig, kinds, uses, with_ball)
     mj = compile_spec(spec, rig.mjcf)
-    return spec, _plan(rig, kinds, uses, mj, rig.ball is not None)
+    return spec, _plan(rig, kinds, uses, mj, with_ball)
 
 
 @lru_cache(maxsize=32)
@@ -148,29 +149,40 @@ def _compiled(
     kinds: tuple[Drive, ...],
     uses: tuple[tuple[Effect, str], ...],
     source: Path,
-    _version: int,
+    version: int,
     with_ball: bool,
     timestep: float | None,
 ) -> Plan:
     rig = key.rig
-    spec = _spec(rig, kinds, uses, source, with_ball)
+    spec = _with_effects(_lean(key, source, version, with_ball).copy(), rig, kinds, uses, with_ball)
     if timestep is not None:
         spec.option.timestep = timestep
     # Without it MuJoCo would restart a simulation that diverged, as if nothing had happened.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     mj = compile_spec(spec, source)
-    if mj.nmesh:
-        make_lean(spec, mj)
-        mj = compile_spec(spec, source)
     mj.opt.disableflags |= _idle(mj)
     return _plan(rig, kinds, uses, mj, with_ball)
 
 
-def _spec(
-    rig: Rig, kinds: tuple[Drive, ...], uses: tuple[tuple[Effect, str], ...], source: Path, with_ball: bool
-) -> mujoco.MjSpec:
+@lru_cache(maxsize=8)
+def _lean(key: RigKey, source: Path, _version: int, with_ball: bool) -> mujoco.MjSpec:
+    """A rig's structure as it is read, checked, without what no roll-out needs."""
+    spec, mj = _checked(key.rig, source, with_ball)
+    if mj.nmesh:
+        make_lean(spec, mj)
+    return spec
+
+
+def _checked(rig: Rig, source: Path, with_ball: bool) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     spec = read_spec(source)
-    check_names(rig, compile_spec(spec, source), source, with_ball)
+    mj = compile_spec(spec, source)
+    check_names(rig, mj, source, with_ball)
+    return spec, mj
+
+
+def _with_effects(
+    spec: mujoco.MjSpec, rig: Rig, kinds: tuple[Drive, ...], uses: tuple[tuple[Effect, str], ...], with_ball: bool
+) -> mujoco.MjSpec:
     for name in dict.fromkeys(name for axis in rig.axes for name in (axis.joint, axis.load)):
         spec.joint(name).solimp_friction = FRICTION_IMPEDANCE
         spec.joint(name).solref_friction = FRICTION_TIME

@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from labyrinth_sim.law import CACHED
+from labyrinth_sim.normal import ndtr
 from labyrinth_sim.trials import Array
 
 

@@ -4,7 +4,6 @@
 import itertools
 from dataclasses import dataclass
 
-import cma
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,6 +77,8 @@ class CmaEs:
 
     def run(self, evaluations: Evaluations, rng: np.random.Generator) -> None:
         """Minimise; the result is `evaluations.best`."""
+        import cma  # takes a second, which all that only might use this method does without
+
         k = evaluations.problem.size
         population = 4 + int(3 * np.log(k))
         end = evaluations.count + self.budget

@@ -11,7 +11,8 @@ from typing import Any
 from labyrinth_sim.errors import InputError
 
 OURS = "labyrinth_sim"
-SHIMS = {("scipy.special", "ndtr"): "ndtr", ("labyrinth_sim.law", "state"): "state"}  # what the runtime has of its own
+# What the runtime has of its own.
+SHIMS = {("labyrinth_sim.normal", "ndtr"): "ndtr", ("labyrinth_sim.law", "state"): "state"}
 GIVEN = {"numpy": "np", "mujoco": "mujoco", "math": "math"}
 
 
