@@ -144,16 +144,25 @@ def test_paper_rig_misses_its_goal_on_x_more_than_on_y() -> None:
     assert error[0] > np.radians(0.2)
 
 
-@pytest.mark.parametrize("effect", [name for name, entry in EFFECTS.items() if not entry.ball])
-def test_every_effect_changes_what_is_measured_and_more_when_stronger(effect: str) -> None:
-    rigs = [rig({})] + [rig({"hidden": [{"effect": effect, "axis": "x", "strength": s}]}) for s in ("weak", "strong")]
-    healthy, weak, strong = run_many(rigs, TIME, STEPS, 3, [5, 5, 5])
+ON_AXES = [name for name, entry in EFFECTS.items() if not entry.ball]
 
-    def change(run) -> float:
-        return float(np.abs(run.motor - healthy.motor).max() + np.abs(run.board - healthy.board).max())
 
-    assert change(strong) > 1e-3
-    assert change(strong) > change(weak)
+@pytest.fixture(scope="module")
+def changes() -> dict[tuple[str, str], float]:
+    """(effect, strength) -> by how much it changes what is measured, rad."""
+    hidden = [(effect, strength) for effect in ON_AXES for strength in ("weak", "strong")]
+    rigs = [rig({"hidden": [{"effect": e, "axis": "x", "strength": s}]}) for e, s in hidden]
+    healthy, *runs = run_many([rig({}), *rigs], TIME, STEPS, 3, [5] * (1 + len(rigs)))
+    both = [(np.abs(run.motor - healthy.motor), np.abs(run.board - healthy.board)) for run in runs]
+    return {key: float(motor.max() + board.max()) for key, (motor, board) in zip(hidden, both, strict=True)}
+
+
+@pytest.mark.parametrize("effect", ON_AXES)
+def test_every_effect_changes_what_is_measured_and_more_when_stronger(
+    effect: str, changes: dict[tuple[str, str], float]
+) -> None:
+    assert changes[effect, "strong"] > 1e-3
+    assert changes[effect, "strong"] > changes[effect, "weak"]
 
 
 def test_same_seed_same_answer_whatever_runs_beside_it() -> None:

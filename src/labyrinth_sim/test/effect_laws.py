@@ -167,7 +167,8 @@ def a_known_value_is_recovered(effect: Effect, scenes: Scenes, _: Played) -> Non
     scale = np.maximum(seen.std(axis=0), RESOLUTION)
     low, high = p.low, p.high
     # A grid, then a finer one about its best point. What works sample by sample may have a jagged misfit.
-    for points in (161 if effect.stage in ("command", "measurement") and home(effect) != "ball" else 41, 9):
+    many = 161 if effect.stage in ("command", "measurement") else 41
+    for points in (21 if home(effect) == "ball" else many, 9):
         grid = np.linspace(low, high, points)
         misfit = (((scene.play(model, (name,), grid[:, None])[..., told] - seen) / scale) ** 2).mean(axis=(1, 2))
         best, pitch = grid[misfit.argmin()], grid[1] - grid[0]

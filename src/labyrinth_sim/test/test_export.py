@@ -4,6 +4,7 @@
 import ast
 import importlib.util
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -151,13 +152,20 @@ def test_the_table_says_of_every_value_of_a_drive_where_it_went(kind: str, tmp_p
     assert apart(model.with_values(changed), tmp_path, commands(model)) < 1e-6
 
 
+@cache
+def plain(name: str) -> tuple[Model, Exported]:
+    """A model and its files, without an effect."""
+    model = load_model(name)
+    return model, export(model)
+
+
 @pytest.mark.parametrize("name", effects())
 def test_the_table_says_of_every_value_of_an_effect_where_it_went(name: str) -> None:
     """It names the files that the effect changes, on an arm and on a board behind belts."""
     seen = set()
-    for model in map(load_model, ("two_link_arm", "labyrinth")):
+    for model, without in map(plain, ("two_link_arm", "labyrinth")):
         for place in model.places(name)[:1]:
-            without, exported = export(model), export(model.with_effect(name, place))
+            exported = export(model.with_effect(name, place))
             told = {p.name: p.where for p in exported.placements if p.name.startswith(f"{name}.{place}.")}
             assert set(told) == {f"{name}.{place}.{p.name}" for p in effects()[name].parameters}
             went = set(" and ".join(told.values()).split(" and "))

@@ -5,6 +5,7 @@ import ast
 import inspect
 import sys
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ class Bundle:
     def __init__(self) -> None:
         self._done: dict[tuple[str, str], str] = {}
         self._text: list[str] = []
-        self._trees: dict[str, ast.Module] = {}
 
     @property
     def text(self) -> str:
@@ -50,7 +50,7 @@ class Bundle:
         key = (file, name)
         if key in self._done:
             return self._done[key]
-        tree = self._tree(file)
+        tree = _parsed(file, Path(file).stat().st_mtime_ns)
         node = next((n for n in tree.body if name in _defines(n)), None)
         if node is None:
             raise InputError(f"{file}: '{name}' is not defined at its top level, so it cannot be exported.")
@@ -66,10 +66,10 @@ class Bundle:
         self._text.append(ast.unparse(shown))
         return own
 
-    def _tree(self, file: str) -> ast.Module:
-        if file not in self._trees:
-            self._trees[file] = ast.parse(Path(file).read_text(encoding="utf-8"), file)
-        return self._trees[file]
+
+@lru_cache(maxsize=64)
+def _parsed(file: str, _version: int) -> ast.Module:
+    return ast.parse(Path(file).read_text(encoding="utf-8"), file)
 
 
 def _defines(node: ast.stmt) -> list[str]:
