@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from distributed.protocol.pickle import dumps, loads
 from fit_cases import TRUTH, made_by, start, step
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
@@ -50,6 +51,12 @@ def test_the_firmer_it_is_held_the_nearer_it_stays_to_the_measured_motion(search
     assert left[0] == pytest.approx(free, rel=0.05)
     assert (np.diff(left) < 0.0).all()
     assert left[-1] < 0.8 * free
+
+
+def test_what_is_sent_elsewhere_is_held_near_the_same_motion(search: Search) -> None:
+    held = held_near(search, bare(search))
+    values = search.start[None]
+    assert np.array_equal(loads(dumps(held))(values), held(values))
 
 
 @pytest.mark.study

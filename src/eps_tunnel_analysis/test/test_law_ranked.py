@@ -117,8 +117,8 @@ def both(seconds: float = 2.0) -> np.ndarray:
 def pushed(model: Model, axis: str, at_load: bool, torque: float) -> Play:
     """What is recorded while a constant torque acts on one side of an axis."""
     forces = Forces(axis, at_load)
-    (values,) = forces.values(np.full((1, 1), torque), np.ones(1))
-    return played(forces.into(model).with_values(dict(zip(forces.names, values, strict=True))), both(), 1, 1e-4)
+    forces.tables.rows = [np.full(1, torque)]
+    return played(forces.into(model).with_values({forces.name: 1.0}), both(), 1, 1e-4)
 
 
 @pytest.mark.study

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labyrinth_sim.errors import InputError, unknown_name
-from labyrinth_sim.law import Law
+from labyrinth_sim.law import Law, Tables
 from labyrinth_sim.live import Fields, Live
 from labyrinth_sim.marks import MARKS
 from labyrinth_sim.shown import shown
@@ -217,6 +217,7 @@ class Effect:
         fields: changes per-simulation fields of the compiled model.
         step: called before every MuJoCo step: a compiled law of one simulation, or a plain function of the whole batch,
             which takes many times as long.
+        tables: what a compiled `step` or `error` reads beside its values, see `labyrinth_sim.law.row_of`.
         steps_with: the parameter at whose 0 `step` or `error` has nothing to do, "" if it always has.
         measure: makes the filter of a signal.
         undo: the true value (nsim,) behind a measured one, where a roll-out must not start from what is seen.
@@ -246,6 +247,7 @@ class Effect:
     spec: "Callable[[mujoco.MjSpec, Site], None] | None" = None
     fields: "Callable[[Fields, Site, Values], None] | None" = None
     step: "Law | Callable[[Live, Site, Values], None] | None" = None
+    tables: "Tables | None" = None
     steps_with: str = ""
     measure: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
     undo: "Callable[[Values, Site, Array], Array] | None" = None

@@ -19,7 +19,7 @@ import math
 import os
 import tempfile
 from collections import namedtuple
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -33,6 +33,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 Addresses = NDArray[np.int64]
+Numbers = NDArray[np.float64]
 
 DATA = ("qpos", "qvel", "qfrc_applied", "qfrc_actuator", "qfrc_bias", "qfrc_passive", "ctrl", "ten_length",
         "ten_velocity")  # fmt: skip
@@ -42,6 +43,7 @@ PLACE = ("channel", "actuator", "dof", "qpos", "load_dof", "tendon", "joint")
 DRIVE = ("actuator", "dof", "qpos", "emf", "by_duty")
 MEMORY = 16  # numbers that a law may keep from step to step
 MOST_VALUES = 32
+TABLES = MOST_VALUES - 1  # the value that is the address of an effect's tables; a number holds one exactly, to 2^53
 MOST_SUM = (
     1e4  # of a control by an integral; far beyond the torque is saturated, and MuJoCo takes huge controls for errors
 )
@@ -170,10 +172,26 @@ def state(raw: int) -> State:
     )  # fmt: skip
 
 
+class Tables:
+    """Rows of numbers, each (K,) of its own length, that a law of an effect reads beside its values.
+
+    Args:
+        rows: may be replaced from one batch to the next, but not while one is stepped.
+    """
+
+    def __init__(self, rows: Iterable[Numbers] = ()) -> None:
+        self.rows = [np.ascontiguousarray(row, dtype=np.float64) for row in rows]
+
+    def addresses(self) -> Addresses:
+        """(n, 2) of each row, and how many numbers it has."""
+        return np.array([(row.ctypes.data, row.size) for row in self.rows], dtype=np.int64).reshape(-1, 2)
+
+
 @numba.njit(cache=CACHED)  # type: ignore[untyped-decorator]
-def numbers_at(address: float, count: int) -> Any:
-    """(count,) numbers at an address, which a law may get among its values: a number holds one exactly, to 2^53."""
-    return numba.carray(_doubles(int(address)), (count,))
+def row_of(s: State, number: int) -> Any:
+    """(K,) a row of the `tables` of a law's effect, from 1."""
+    addresses = numba.carray(_integers(int(s.values[TABLES])), (number, 2))
+    return numba.carray(_doubles(addresses[number - 1, 0]), (addresses[number - 1, 1],))
 
 
 class Law:

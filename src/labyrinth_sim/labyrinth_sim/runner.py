@@ -18,6 +18,7 @@ from labyrinth_sim.law import (
     MOST_SUM,
     MOST_VALUES,
     PLACE,
+    TABLES,
     Addresses,
     Law,
     apply,
@@ -57,6 +58,10 @@ class Laws:
         for k, (p, _, _) in enumerate(placed):
             own = [values[p.prefix + parameter.name] for parameter in p.effect.parameters]
             self.values[:, k, : len(own)] = np.column_stack(own)
+        tables = [(k, p.effect.tables) for k, (p, _, _) in enumerate(placed)]
+        self._tables = {k: rows.addresses() for k, rows in tables if rows}  # kept as long as laws may read them
+        for k, addresses in self._tables.items():
+            self.values[:, k, TABLES] = addresses.ctypes.data
         self.memory = np.zeros((nsim, len(placed), MEMORY))
         sites = [p.site for p, _, _ in placed]
         self.places = np.array([[getattr(s, name) for name in PLACE] for s in sites], dtype=np.int64).reshape(

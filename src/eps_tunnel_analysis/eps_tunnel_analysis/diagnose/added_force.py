@@ -12,7 +12,7 @@ from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.filters import Map
-from labyrinth_sim.law import law, numbers_at, state
+from labyrinth_sim.law import Tables, law, row_of, state
 from labyrinth_sim.live import Live
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch
@@ -23,8 +23,6 @@ STEP = 0.0025  # s, at most, between the steps of a roll-out
 STANDSTILL = 1e-3  # rad/s, m/s; below it a joint keeps its direction
 COVERED = 1.02  # times the visited range that a curve covers
 LAST_ROW = 1e6
-LAST_STEP = 1e9
-MOST_ADDRESS = 2.0**53  # up to which a number holds every address exactly
 
 
 @dataclass(frozen=True)
@@ -87,47 +85,29 @@ class Forces:
         at_load: whether they act on the load's joint.
 
     Attributes:
-        names: full names of what says which row of which table acts.
+        tables: the rows, each (K,) of the steps of a roll-out.
+        name: of the parameter that says which of them acts.
     """
 
     def __init__(self, axis: str, at_load: bool = False) -> None:
-        self.effect = replace(
-            unlisted(
-                "added_force", "Added force", "A force over time, as a table.", "torque = table", ROW,
-                Parameter("address", "1", 0.0, MOST_ADDRESS, None, 0.0, "of the table in memory"),
-                Parameter("steps", "1", 0.0, LAST_STEP, None, 0.0, "of a row"),
-                Parameter("at_load", "1", 0.0, 1.0, None, 0.0, "1 for the load's joint"),
-            ),
-            step=_add,
-            steps_with="row",
-        )  # fmt: skip
-        self.names = tuple(f"added_force.{axis}.{name}" for name in ("row", "address", "steps"))
+        self.tables = Tables()
+        load = Parameter("at_load", "1", 0.0, 1.0, None, 0.0, "1 for the load's joint")
+        made = unlisted("added_force", "Added force", "A force over time, as a table.", "torque = table", ROW, load)
+        self.effect = replace(made, step=_add, tables=self.tables, steps_with="row")
+        self.name = f"added_force.{axis}.row"
         self._axis, self._at_load = axis, at_load
-        self._table: Array = np.zeros((1, 1))
 
     def into(self, model: Model) -> Model:
         """The model with this effect, which adds nothing until asked."""
-        none = {"row": 0.0, "address": 0.0, "steps": 0.0}
-        return model.with_effect(self.effect, self._axis, none | {"at_load": float(self._at_load)})
-
-    def values(self, table: Array, rows: Array) -> Array:
-        """(n, 3) of `names` for simulations that get these rows (n,) of a table (m, K), from 1.
-
-        The table is kept until the next one is given, and not a moment longer.
-        """
-        self._table = np.ascontiguousarray(table, dtype=np.float64)
-        where = np.array([self._table.ctypes.data, self._table.shape[1]], dtype=np.float64)
-        return np.column_stack([rows, np.broadcast_to(where, (len(rows), 2))])
+        return model.with_effect(self.effect, self._axis, {"row": 0.0, "at_load": float(self._at_load)})
 
 
 @law
 def _add(raw):  # type: ignore[no-untyped-def]
     s = state(raw)
-    row, address, steps = s.values[0], s.values[1], int(s.values[2])
-    if row > 0.0:
-        k = (int(row) - 1) * steps + min(int(s.memory[0]), steps - 1)
-        dof = s.load_dof if s.values[3] > 0.0 else s.dof
-        s.applied[dof] += numbers_at(address, k + 1)[k]
+    row = row_of(s, int(s.values[0]))
+    dof = s.load_dof if s.values[1] > 0.0 else s.dof
+    s.applied[dof] += row[min(int(s.memory[0]), row.size - 1)]
     s.memory[0] += 1.0
 
 
@@ -211,7 +191,7 @@ class Playing:
         self._forces, self._setpoints, self._tracer = Forces(axis, at_load), Setpoints(axis), Tracer(axis)
         self.model = self._setpoints.into(self._forces.into(model))
         self.plays = tuple(play_evidence(self.model, play, signals) for play in plays)
-        free = (*self.free, *self._forces.names, self._setpoints.name)
+        free = (*self.free, self._forces.name, self._setpoints.name)
         self.evidence = tuple(Evidence(self.model, free, [p], signals, STEP, nthread) for p in self.plays)
         self.values = np.array([self.model.values()[name] for name in self.free])
         self.nthread = nthread
@@ -227,17 +207,18 @@ class Playing:
         Args:
             values: (n, k) of the free values, those of the model by default.
         """
-        every = np.arange(1, len(table) + 1, dtype=float)
-        return self.evidence[play](self._rows(self._forces.values(table, every), np.zeros(len(table)), values))
+        self._forces.tables.rows = list(np.ascontiguousarray(table, dtype=np.float64))
+        numbers = _numbers(table)
+        return self.evidence[play](self._rows(numbers, np.zeros_like(numbers), values))
 
     def residuals_commanded(self, play: int, table: Array) -> Array:
         """(n, R) the same under offsets (n, K) rad of the axis's command, without a force."""
         self._setpoints.table = table
-        none = self._forces.values(np.zeros((1, 1)), np.zeros(len(table)))
-        return self.evidence[play](self._rows(none, np.arange(1, len(table) + 1, dtype=float)))
+        numbers = _numbers(table)
+        return self.evidence[play](self._rows(np.zeros_like(numbers), numbers))
 
     def _rows(self, forces: Array, setpoints: Array, values: Array | None = None) -> Array:
-        """(n, k + 4) of all free parameters, from what `Forces.values` gives (n, 3) and the rows of offsets (n,)."""
+        """(n, k + 2) of all free parameters, from the rows (n,) of forces and of offsets."""
         free = np.broadcast_to(self.values if values is None else values, (len(forces), len(self.free)))
         return np.column_stack([free, forces, setpoints])
 
@@ -245,10 +226,10 @@ class Playing:
         """The axis's motion under a force over time (K,) N m, none by default."""
         evidence = self.evidence[play]
         count = evidence.count(0)
-        own = self._forces.values(np.zeros((1, count)) if force is None else np.asarray(force)[None], np.ones(1))
+        self._forces.tables.rows = [np.zeros(count) if force is None else np.ascontiguousarray(force, np.float64)]
         self._tracer.taken()
         simulate_batch(
-            self._tracer.into(self.model), (*self.free, *self._forces.names), np.append(self.values, own[0])[None],
+            self._tracer.into(self.model), (*self.free, self._forces.name), np.append(self.values, 1.0)[None],
             evidence.times(0), evidence.commands[0][None], evidence.initial[0],
             per_command=evidence.known, resting=evidence.resting[0],
             signals=self.signals, timestep=evidence.step(0), nthread=1, means=True,
@@ -263,6 +244,11 @@ class Playing:
             evidence.commands[0][: len(seen), self._channel],
             *((other, targets[:, 0 if self._channel else 1]) if others else (np.empty(0), np.empty(0))),
         )  # fmt: skip
+
+
+def _numbers(table: Array) -> Array:
+    """(n,) of a table's rows (n, K), from 1."""
+    return np.arange(1, len(table) + 1, dtype=float)
 
 
 def _reversals(speed: Array, step: float) -> tuple[Array, Array]:

@@ -25,9 +25,8 @@ from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from labyrinth_sim.build import compiled, inertia_at_rest
-from labyrinth_sim.effect import Parameter, Values
-from labyrinth_sim.live import Live
-from labyrinth_sim.site import Site
+from labyrinth_sim.effect import Effect, Parameter
+from labyrinth_sim.law import Tables, law, row_of, state
 from labyrinth_sim.trials import Array
 
 #: rad/s, at which a joint that moves by itself would close in on the measured motion
@@ -39,41 +38,32 @@ FREE_ROUNDS = 12  # in free roll-outs, in the end
 SEED = 0
 
 
-class Guide:
-    """Holds one joint near motions, one for each play, by a torque `I (r^2 e + 2 r e')`.
+def guide(name: str, motions: Sequence[Array]) -> Effect:
+    """Holds one joint near motions, one for each play, each (2, K) its angle and speed on a grid of GRID."""
+    made = unlisted(
+        name,
+        "Guide",
+        "A spring and a damper to a measured motion.",
+        "torque = I (r^2 (q_m - q) + 2 r (q_m' - q'))",
+        Parameter("play", "1", 0.0, 1e6, 0.0, 1.0, "number of the play, from 1; 0 holds nothing"),
+        Parameter("rate", "rad/s", 0.0, 1e3, None, HOLDS[0], "how firmly"),
+        Parameter("inertia", "kg m^2", 0.0, 1e6, None, 0.0, "of the joint"),
+        Parameter("coordinate", "1", 0.0, 1e6, None, 0.0, "number of the joint's"),
+        Parameter("freedom", "1", 0.0, 1e6, None, 0.0, "number of the joint's degree of freedom"),
+    )
+    return replace(made, step=_hold, tables=Tables(motion.ravel() for motion in motions), steps_with="play")
 
-    Args:
-        name: of the effect.
-        joint: of the MJCF.
-        inertia: kg m^2, of the joint.
-        motions: for each play (2, K) its angle and speed on a grid of GRID.
-    """
 
-    def __init__(self, name: str, joint: str, inertia: float, motions: Sequence[Array]) -> None:
-        self.joint, self.inertia, self.motions = joint, inertia, tuple(motions)
-        effect = unlisted(
-            name,
-            "Guide",
-            "A spring and a damper to a measured motion.",
-            "torque = I (r^2 (q_m - q) + 2 r (q_m' - q'))",
-            Parameter("play", "1", 0.0, 1e6, 0.0, 1.0, "number of the play, from 1; 0 holds nothing"),
-            Parameter("rate", "rad/s", 0.0, 1e3, None, HOLDS[0], "how firmly"),
-        )
-        self.effect = replace(effect, step=self._step)
-
-    def _step(self, live: Live, _site: Site, values: Values) -> None:
-        if self.effect.name not in live.memory:
-            joint = live.model.joint(self.joint)
-            live.memory[self.effect.name] = np.array([joint.qposadr[0], joint.dofadr[0], 0])
-        kept = live.memory[self.effect.name]
-        place, dof, count = (int(number) for number in kept)
-        kept[2] += 1
-        play, rate = int(values["play"][0]), values["rate"]
-        if play:
-            motion = self.motions[play - 1]
-            k = min(round(count * live.step / GRID), motion.shape[1] - 1)
-            off, slip = motion[0, k] - live.qpos[:, place], motion[1, k] - live.qvel[:, dof]
-            live.applied[:, dof] += self.inertia * rate * (rate * off + 2.0 * slip)
+@law
+def _hold(raw):  # type: ignore[no-untyped-def]
+    s = state(raw)
+    motion = row_of(s, int(s.values[0]))
+    rate, inertia, place, dof = s.values[1], s.values[2], int(s.values[3]), int(s.values[4])
+    half = motion.size // 2
+    k = min(round(s.memory[0] * s.step / GRID), half - 1)
+    s.memory[0] += 1.0
+    off, slip = motion[k] - s.qpos[place], motion[half + k] - s.qvel[dof]
+    s.applied[dof] += inertia * rate * (rate * off + 2.0 * slip)
 
 
 def event_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Refit]:
@@ -106,9 +96,12 @@ def held_near(search: Search, refit: Refit) -> Evidence:
     at_rest, names = compiled(model, with_ball=False).mj, []
     for place, measured in finest.items():
         motions = [course.at(course.grid)[:2] for course in courses[measured.signal]]
-        guide = Guide(f"guide_{place}", measured.joint, inertia_at_rest(at_rest, measured.joint), motions)
-        model = model.with_effect(guide.effect, place, {"play": 0.0, "rate": HOLDS[0]})
-        names.append(f"{guide.effect.name}.{place}.play")
+        joint = at_rest.joint(measured.joint)
+        model = model.with_effect(guide(f"guide_{place}", motions), place, {
+            "play": 0.0, "rate": HOLDS[0], "inertia": inertia_at_rest(at_rest, measured.joint),
+            "coordinate": float(joint.qposadr[0]), "freedom": float(joint.dofadr[0]),
+        })  # fmt: skip
+        names.append(f"guide_{place}.{place}.play")
     plays = [
         replace(p, play=replace(p.play, known={**p.play.known, **dict.fromkeys(names, number + 1.0)}))
         for number, p in enumerate(evidence.plays)
