@@ -24,6 +24,7 @@ INVISIBLE = 1.0  # times the floor; below, "nothing is missing within the noise"
 SURE = 0.95
 LEVELS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)  # of stated probability, for the reliability
 LEAST = 1e-4  # a probability below counts as this in the log score
+ALIKE = 1.02  # times the held-out error of the true form, within which another one is as good
 WORTH = 0.1  # of the held-out error that the true form must take away for its fall to be compared
 Z = 1.959964  # of a two-sided 95 %
 RESAMPLES = 1000
@@ -62,6 +63,7 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
         "unknown_found": rate(foreign, is_right),
         "unknown_found_outside": rate([r for r in foreign if r["kind"] == "outside"], is_right),
         "unknown_found_left_out": rate([r for r in foreign if r["kind"] == "left_out"], is_right),
+        "unknown_as_good_as_true_form": rate([r for r in foreign if _has_form(r)], as_good_as_true_form),
         "pair_both": rate(pairs, is_right),
         "pair_undecided": rate(pairs, is_undecided),
         "pair_both_of_all": rate(every_pair, is_right),
@@ -146,9 +148,20 @@ def log_score(r: Record) -> float:
     return log(max(sum(p for name, p in r["set"].items() if is_true(r, name)), LEAST))
 
 
+def _has_form(r: Record) -> bool:
+    """Whether the true form of what was left out was fitted."""
+    return r["kind"] == "left_out" and r.get("true_form") is not None and r.get("held_out") is not None
+
+
+def as_good_as_true_form(r: Record) -> bool:
+    """Whether what was named predicts what was left out as well as the true form, so that nothing tells them apart."""
+    return bool(r["effects"]) and r["held_out"][1] <= ALIKE * r["true_form"]
+
+
 def drop_vs_true_form(r: Record) -> float | None:
     """Fall of the held-out error over that of the true form, fitted on its own; None if nothing can fall."""
-    if r.get("true_form") is None or r.get("held_out") is None or r["visibility"] <= VISIBLE:
+    judged = r["kind"] in ("single", "pair") and r["visibility"] > VISIBLE
+    if not judged or r.get("true_form") is None or r.get("held_out") is None:
         return None
     before, after = r["held_out"]
     possible = before - r["true_form"]

@@ -58,7 +58,10 @@ def judge_drawn(seed: int, threads: int, rig: str | None, visible: bool = False)
         model, plays = loaded(case.model, case.bags)
         record = case.to_json()
         record["visibility"] = case.visibility
-        return record | _said(model, plays, seed, threads, case.truth, case.kind, case.only)
+        # What is left out of the library is still known to the model.
+        known = case.kind in ("single", "pair", "left_out")
+        form = [hidden["names"][0] for hidden in record["hidden"]] if known else []
+        return record | _said(model, plays, seed, threads, form, case.only)
 
 
 def judge_testbed(seed: int, threads: int, rig: str | None, visible: bool = False) -> Record:
@@ -68,7 +71,8 @@ def judge_testbed(seed: int, threads: int, rig: str | None, visible: bool = Fals
     plays = [testbed_cases.play(config, find_sequence("excite_12s").commands[0], seed)]
     truth = testbed_cases.truth_of(kind, hidden)
     record: Record = {"seed": seed, "kind": kind, "truth": truth, "strength": hidden[0].strength if hidden else ""}
-    record |= _said(model, plays, seed, threads, truth, kind, None, proposes=True)
+    form = truth.split(" + ") if kind in ("single", "pair") else []
+    record |= _said(model, plays, seed, threads, form, None, proposes=True)
     record["visibility"] = record["leaves"]
     experiment = record.pop("experiment", None)
     if experiment is not None:
@@ -79,10 +83,10 @@ def judge_testbed(seed: int, threads: int, rig: str | None, visible: bool = Fals
 
 
 def _said(
-    model: Model, plays: Sequence[Play], seed: int, threads: int, truth: str, kind: str, only: Sequence[str] | None,
+    model: Model, plays: Sequence[Play], seed: int, threads: int, form: Sequence[str], only: Sequence[str] | None,
     proposes: bool = False,
 ) -> Record:  # fmt: skip
-    """The diagnosis, and what the true form would leave, fitted on its own."""
+    """The diagnosis, and what the true form, if it has a name, would leave, fitted on its own."""
     started = time.monotonic()
     try:
         diagnosis = diagnose(model, plays, seed=seed, only=only, nthread=threads, experiments=proposes)
@@ -102,9 +106,9 @@ def _said(
     }
     if proposes and diagnosis.experiment is not None:
         record["experiment"] = diagnosis.experiment.command
-    if kind in ("single", "pair"):
+    if form:
         try:
-            record["true_form"] = add_effects(model, plays, truth.split(" + "), threads).after.held_out
+            record["true_form"] = add_effects(model, plays, form, threads).after.held_out
         except Exception as error:  # as above
             record["true_form_error"] = f"{type(error).__name__}: {error}"
     return record

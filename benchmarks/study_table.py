@@ -55,6 +55,7 @@ KEYS = {  # key: what it means, and the bar
     "unknown_found": ("outside the library, or left out of it, at over 3 times the floor: called unknown", "≥ 0.90"),
     "unknown_found_outside": ("outside the library", ""),
     "unknown_found_left_out": ("left out of the library", ""),
+    "unknown_as_good_as_true_form": ("left out, and what is named instead predicts as well as the true form", ""),
     "pair_both": ("both of a pair named, and nothing else", "≥ 0.75"),
     "calibration_error": ("expected calibration error of the likeliest hypothesis", "≤ 0.05"),
     "calibration_error_by_chance": ("the same in the mean if every probability were exactly right", ""),

@@ -176,6 +176,17 @@ def test_the_fall_is_over_that_of_the_true_form():
     assert drop_vs_true_form(named("a.x", "a.x", held_out=[1.0, 0.4], true_form=0.2, visibility=1.0)) is None
 
 
+def test_what_is_left_out_may_be_imitated_by_another_effect():
+    def left_out(said, after, true_form=0.2):
+        return {**named("unknown", said), "kind": "left_out", "held_out": [1.0, after], "true_form": true_form}
+
+    unnamed = case("left_out", "unknown", "unknown", {"unknown": 1.0}, held_out=[0.2, 0.2], true_form=0.2)
+    records = [left_out("b.x", 0.203), left_out("b.x", 0.3), unnamed, left_out("b.x", 0.1, None)]
+    found = figures(records)["unknown_as_good_as_true_form"]
+    assert (found.value, found.n) == (pytest.approx(1 / 3), 3)
+    assert drop_vs_true_form(records[0]) is None
+
+
 def test_every_key_comes_with_its_count_and_interval():
     content = flat(figures([named("a.x", "a.x", held_out=[1.0, 0.4], true_form=0.2)]))
     keys = (
