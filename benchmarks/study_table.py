@@ -35,6 +35,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_limits": "limits reach further; from 870460 on cut-backs leave back-EMF out, limits may be soft",
     "diagnosis_held": "from 870488 on cut-backs are searched for in held roll-outs; 870487 took over half an hour",
     "diagnosis_rested": "from 870515 on a base near the floor is descended until it rests",
+    "diagnosis_compiled": "the same diagnosis, faster",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
