@@ -3,6 +3,7 @@
 
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -237,7 +238,9 @@ def test_the_node_serves_while_an_answer_waits_for_a_side_that_is_not_there(benc
     assert "Not matched yet: /sim/ (no joint states there)." in answer.message
     states = bench.node.create_publisher(JointState, "/sim/joint_states", 10)
     bench.until(states.get_subscription_count)
-    states.publish(joint_state(0))
+    for number in range(40):  # the recorder may learn of the publisher later than the other way round
+        states.publish(joint_state(number))
+        time.sleep(0.05)
     assert bench.call(record, Record.Request(start=False)).success
 
 
