@@ -45,6 +45,7 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
     healthy = [r for r in records if r["kind"] == "healthy"]
     shows = [r for r in visible if r["leaves"] > VISIBLE]  # no recording shows what the drive's values compensate for
     foreign = [r for r in records if r["kind"] in ("outside", "left_out") and r["visibility"] > VISIBLE]
+    left_out = [r for r in foreign if r["kind"] == "left_out"]
     every_pair = [r for r in records if r["kind"] == "pair"]
     pairs = [r for r in every_pair if r["visibility"] > VISIBLE]  # of the one that shows less
     sure = [r for r in records if likeliest(r)[1] > SURE]
@@ -62,8 +63,10 @@ def figures(records: Sequence[Record]) -> dict[str, Figure]:
         "false_alarm_named": rate(healthy, lambda r: r["verdict"] == "effect"),
         "unknown_found": rate(foreign, is_right),
         "unknown_found_outside": rate([r for r in foreign if r["kind"] == "outside"], is_right),
-        "unknown_found_left_out": rate([r for r in foreign if r["kind"] == "left_out"], is_right),
-        "unknown_as_good_as_true_form": rate([r for r in foreign if _has_form(r)], as_good_as_true_form),
+        "unknown_found_left_out": rate(left_out, is_right),
+        "unknown_as_good_as_true_form": rate(
+            [r for r in left_out if _compares_with_true_form(r)], as_good_as_true_form
+        ),
         "pair_both": rate(pairs, is_right),
         "pair_undecided": rate(pairs, is_undecided),
         "pair_both_of_all": rate(every_pair, is_right),
@@ -148,9 +151,9 @@ def log_score(r: Record) -> float:
     return log(max(sum(p for name, p in r["set"].items() if is_true(r, name)), LEAST))
 
 
-def _has_form(r: Record) -> bool:
-    """Whether the true form of what was left out was fitted."""
-    return r["kind"] == "left_out" and r.get("true_form") is not None and r.get("held_out") is not None
+def _compares_with_true_form(r: Record) -> bool:
+    """Whether there is a held-out error both of the verdict and of the true form."""
+    return r.get("true_form") is not None and r.get("held_out") is not None
 
 
 def as_good_as_true_form(r: Record) -> bool:
@@ -161,7 +164,7 @@ def as_good_as_true_form(r: Record) -> bool:
 def drop_vs_true_form(r: Record) -> float | None:
     """Fall of the held-out error over that of the true form, fitted on its own; None if nothing can fall."""
     judged = r["kind"] in ("single", "pair") and r["visibility"] > VISIBLE
-    if not judged or r.get("true_form") is None or r.get("held_out") is None:
+    if not (judged and _compares_with_true_form(r)):
         return None
     before, after = r["held_out"]
     possible = before - r["true_form"]

@@ -133,8 +133,9 @@ def read(path: Path | str) -> YamlFile:
             data = file.read(LARGEST + 1)
         if len(data) > LARGEST:
             raise InputError(f"{path}: larger than {LARGEST} bytes; is this the right file?")
-        _check_depth(data.decode("utf-8"), path)
-        root = yaml.compose(data.decode("utf-8"), Loader=LOADER)
+        text = data.decode("utf-8")
+        _check_depth(text, path)
+        root = yaml.compose(text, Loader=LOADER)
         lines = dict(_lines(root, (), path)) if root is not None else {}
         if len(lines) > MOST:
             raise InputError(f"{path}: more than {MOST} values, aliases (*) written out; is this the right file?")

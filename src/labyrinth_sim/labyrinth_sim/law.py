@@ -32,8 +32,9 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from labyrinth_sim.trials import Array
+
 Addresses = NDArray[np.int64]
-Numbers = NDArray[np.float64]
 
 DATA = ("qpos", "qvel", "qfrc_applied", "qfrc_actuator", "qfrc_bias", "qfrc_passive", "ctrl", "ten_length",
         "ten_velocity")  # fmt: skip
@@ -179,7 +180,7 @@ class Tables:
         rows: may be replaced from one batch to the next, but not while one is stepped.
     """
 
-    def __init__(self, rows: Iterable[Numbers] = ()) -> None:
+    def __init__(self, rows: Iterable[Array] = ()) -> None:
         self.rows = [np.ascontiguousarray(row, dtype=np.float64) for row in rows]
 
     def addresses(self) -> Addresses:

@@ -55,13 +55,13 @@ class Laws:
         self.codes = np.array([law.address for _, law, _ in placed if isinstance(law, Law)], dtype=np.int64)
         self.acts = np.array([acts for _, _, acts in placed], dtype=bool).reshape(len(placed), nsim)
         self.values = np.zeros((nsim, len(placed), MOST_VALUES))
+        self._tables: list[Addresses] = []  # kept as long as laws may read them
         for k, (p, _, _) in enumerate(placed):
             own = [values[p.prefix + parameter.name] for parameter in p.effect.parameters]
             self.values[:, k, : len(own)] = np.column_stack(own)
-        tables = [(k, p.effect.tables) for k, (p, _, _) in enumerate(placed)]
-        self._tables = {k: rows.addresses() for k, rows in tables if rows}  # kept as long as laws may read them
-        for k, addresses in self._tables.items():
-            self.values[:, k, TABLES] = addresses.ctypes.data
+            if p.effect.tables:
+                self._tables.append(p.effect.tables.addresses())
+                self.values[:, k, TABLES] = self._tables[-1].ctypes.data
         self.memory = np.zeros((nsim, len(placed), MEMORY))
         sites = [p.site for p, _, _ in placed]
         self.places = np.array([[getattr(s, name) for name in PLACE] for s in sites], dtype=np.int64).reshape(

@@ -77,8 +77,24 @@ def unlisted(name: str, title: str, physics: str, equation: str, *parameters: Pa
 ROW = Parameter("row", "1", 0.0, LAST_ROW, 0.0, 1.0, "number of a row, from 1; 0 adds nothing")
 
 
-class Forces:
-    """Tables of force over time (N m) that are added to one axis, a row of the table for each simulation.
+class Rows:
+    """An effect that adds the rows of a table over time to one axis, a row for each simulation.
+
+    Attributes:
+        name: of the parameter that says which row acts.
+    """
+
+    def __init__(self, effect: Effect, axis: str) -> None:
+        self.effect, self._axis = effect, axis
+        self.name = f"{effect.name}.{axis}.{ROW.name}"
+
+    def into(self, model: Model) -> Model:
+        """The model with this effect, which adds nothing until asked."""
+        return model.with_effect(self.effect, self._axis, self.effect.off)
+
+
+class Forces(Rows):
+    """Tables of force over time (N m).
 
     Args:
         axis: short name.
@@ -86,20 +102,13 @@ class Forces:
 
     Attributes:
         tables: the rows, each (K,) of the steps of a roll-out.
-        name: of the parameter that says which of them acts.
     """
 
     def __init__(self, axis: str, at_load: bool = False) -> None:
         self.tables = Tables()
-        load = Parameter("at_load", "1", 0.0, 1.0, None, 0.0, "1 for the load's joint")
+        load = Parameter("at_load", "1", 0.0, 1.0, None, float(at_load), "1 for the load's joint")
         made = unlisted("added_force", "Added force", "A force over time, as a table.", "torque = table", ROW, load)
-        self.effect = replace(made, step=_add, tables=self.tables, steps_with="row")
-        self.name = f"added_force.{axis}.row"
-        self._axis, self._at_load = axis, at_load
-
-    def into(self, model: Model) -> Model:
-        """The model with this effect, which adds nothing until asked."""
-        return model.with_effect(self.effect, self._axis, {"row": 0.0, "at_load": float(self._at_load)})
+        super().__init__(replace(made, step=_add, tables=self.tables, steps_with=ROW.name), axis)
 
 
 @law
@@ -122,7 +131,7 @@ class Tracer:
 
     def into(self, model: Model) -> Model:
         """The model with this effect."""
-        return model.with_effect(self.effect, self._axis, {"on": 1.0})
+        return model.with_effect(self.effect, self._axis)
 
     def _step(self, live: Live, site: Site, values: Values) -> None:
         other = live.drives[site.others[0]].qpos if site.others else -1
@@ -143,24 +152,18 @@ class Tracer:
         return table
 
 
-class Setpoints:
-    """Tables of offsets over time (rad) that are added to the command of one axis, a row for each simulation."""
+class Setpoints(Rows):
+    """Tables of offsets of the command over time (rad)."""
 
     def __init__(self, axis: str) -> None:
         self.table: Array = np.zeros((1, 1))  # (rows, K)
         about = "An offset over time, as a table."
         made = unlisted("added_setpoint", "Added setpoint", about, "u' = u + table", ROW)
         # Before any delay: what is added is an error of the command as it was sent.
-        self.effect = replace(made, stage="command", order=0, command=self._command)
-        self.name = f"added_setpoint.{axis}.row"
-        self._axis = axis
-
-    def into(self, model: Model) -> Model:
-        """The model with this effect, which adds nothing until asked."""
-        return model.with_effect(self.effect, self._axis, {"row": 0.0})
+        super().__init__(replace(made, stage="command", order=0, command=self._command), axis)
 
     def _command(self, values: Values, site: Site, step: float, start: Array) -> Map:
-        rows = values["row"].astype(np.int64)
+        rows = values[ROW.name].astype(np.int64)
         offsets = np.where(rows[:, None] > 0, self.table[np.maximum(rows - 1, 0)], 0.0)
         return Map(lambda target: target + offsets[:, : target.shape[1]])
 
