@@ -23,7 +23,7 @@ COMMAND_JITTER = 2  # samples by which the commands of trials may be early or la
 SENT_ALIKE = 0.99  # share of the samples that must agree, and
 SENT_WITHIN = 0.01  # by how much, of the command's range
 AT_REST = 0.1  # s, in which an axis that rests as a play begins
-RESTING = 0.003  # of its range, moves less than this
+RESTING = 0.003  # of its range, or a tick of its sensor, if that is more, moves less than this
 HELD_WITHIN = 0.25  # of its range; a command that is further away than that moves it, however late
 ROLLOUT_BYTES = 2e8  # bytes of roll-outs on the fine grid that are held at once
 
@@ -184,23 +184,28 @@ def axes_at_rest(model: Model, trials: Sequence[StampedTrial]) -> NDArray[np.boo
     Such a drive carries its load already. One that began from its pose as its goal would let the load sag at first,
     and with stiction keep it there.
     """
-    return np.array([all(_rests(axis, trial) for trial in trials) for axis in model.rig.axes])
+    return np.array([_rests(axis, trials) for axis in model.rig.axes])
 
 
-def _rests(axis: Axis, trial: StampedTrial) -> bool:
-    seen = [m for m in axis.finest_first if m.quantity == "position" and m.signal in trial.signals]
-    command = trial.commands.get(axis.command)
-    if not seen or command is None or not len(command.time) or not np.isfinite(command.values[0]):
+def _rests(axis: Axis, trials: Sequence[StampedTrial]) -> bool:
+    """Whether an axis rests, by what its finest sensor says before its command changes, in the mean over the trials."""
+    seen = [m for m in axis.finest_first if m.quantity == "position" and all(m.signal in t.signals for t in trials)]
+    if not seen:
         return False
-    measured = trial.signals[seen[0].signal]
-    span = float(np.ptp(measured.values)) if len(measured.values) else 0.0
-    if span <= 0.0 or abs(command.values[0] - measured.values[0]) > HELD_WITHIN * span:
-        return False
-    others = np.flatnonzero(command.values != command.values[0])
-    until = command.time[0] + AT_REST if not len(others) else min(command.time[0] + AT_REST, command.time[others[0]])
-    early = measured.values[measured.time <= until]
-    half = len(early) // 2
-    return half < 2 or abs(float(np.median(early[:half]) - np.median(early[half:]))) < RESTING * span
+    moved, allowed = [], []
+    for trial in trials:
+        measured, command = trial.signals[seen[0].signal], trial.commands.get(axis.command)
+        if command is None or not len(command.time) or not np.isfinite(command.values[0]):
+            return False
+        span = float(np.ptp(measured.values)) if len(measured.values) else 0.0
+        if span <= 0.0 or abs(command.values[0] - measured.values[0]) > HELD_WITHIN * span:
+            return False
+        others = command.time[command.values != command.values[0]]
+        early = measured.values[measured.time <= min([max(command.time[0], 0.0) + AT_REST, *others[:1]])]
+        half = len(early) // 2
+        moved.append(float(np.median(early[half:]) - np.median(early[:half])) if half > 1 else 0.0)
+        allowed.append(max(RESTING * span, seen[0].resolution))
+    return bool(abs(np.mean(moved)) < np.mean(allowed))
 
 
 def _answered_together(model: Model, play: Play) -> list[tuple[StampedTrial, ...]]:

@@ -179,3 +179,17 @@ def test_a_step_right_at_the_start_is_no_unrest():
     moved = Series(time, 0.49 - np.clip(time - 0.04, 0.0, 0.3) * 3.0)
     trial = StampedTrial(1.99, {"pendulum": sent}, {"pendulum": moved})
     assert axes_at_rest(load_model("pendulum"), [trial]).tolist() == [True]
+
+
+def test_that_one_trial_s_samples_lie_a_tick_apart_is_no_unrest():
+    """A coarse sensor at the edge between two ticks: one trial's halves differ, those of most trials do not."""
+    time, tick = np.arange(200) * 0.01, 0.01
+    sent = Series(time, np.where(time < 0.3, 0.5, -0.5))
+
+    def trial(late):
+        seen = np.where(time < 0.05, 0.49, 0.49 + late)
+        return StampedTrial(1.99, {"pendulum": sent}, {"pendulum": Series(time, np.where(time < 0.5, seen, -0.5))})
+
+    given = load_model("pendulum")
+    assert axes_at_rest(given, [trial(tick), trial(0.0), trial(0.0), trial(0.0)]).tolist() == [True]
+    assert axes_at_rest(given, [trial(tick)] * 4).tolist() == [False]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings become trials on one grid: exact where measured, NaN where not, and refused where they do not belong."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,8 +108,18 @@ def test_an_unseen_ball_is_nan_whatever_its_coordinates_say(tmp_path: Path) -> N
     assert np.flatnonzero(np.isnan(result.trials.values[0, :, 0])).tolist() == list(range(30, 60))
 
 
-def marked_bag(folder: Path, trials: list[tuple[int, str]], metadata: dict[str, str] | None = None) -> Path:
-    """Trials of one second each, 2 s apart, each ended by its phase (1 end, 2 aborted, 0 never)."""
+def marked_bag(
+    folder: Path,
+    trials: list[tuple[int, str]],
+    metadata: dict[str, str] | None = None,
+    commanded: range = range(-20, 121),
+    late: Sequence[int] | None = None,
+) -> Path:
+    """Trials of one second each, 2 s apart, each ended by its phase (1 end, 2 aborted, 0 never).
+
+    Args:
+        commanded: hundredths of a second after a trial's start at which a command is sent, `late` ns in each trial.
+    """
     with BagWriter(folder, metadata) as writer:
         for topic, type_ in (
             ("/real/joint_commands", JOINT_STATE),
@@ -121,7 +132,9 @@ def marked_bag(folder: Path, trials: list[tuple[int, str]], metadata: dict[str, 
             writer.write("/real/trial", start, mark(start, 0, trial, 1.0, sequence_hash))
             for i in range(-20, 121):
                 at = start + i * SECOND // 100
-                writer.write("/real/joint_commands", at, joints(at, ["motor_x"], [command(np.array(i / 100))]))
+                if i in commanded:
+                    sent = at + (late[trial] if late else 0)
+                    writer.write("/real/joint_commands", sent, joints(sent, ["motor_x"], [command(np.array(i / 100))]))
                 writer.write("/real/joint_states", at, joints(at, ["motor_x"], [i / 100 + trial]))
             if phase:
                 end = start + SECOND + 3_000_000 * (trial + 1)
@@ -138,6 +151,22 @@ def test_trial_marks_cut_one_bag_into_trials(tmp_path: Path) -> None:
     assert (result.sequence, result.sequence_hash) == ("eight_seconds", "a")
     assert "trial 1 was aborted" in result.report.notes[0]
     assert "trial 3 has no end mark" in result.report.notes[1]
+
+
+def test_whether_a_first_command_comes_just_before_a_mark_or_after_it_makes_no_difference(tmp_path: Path) -> None:
+    late = [-400_000, 300_000, 0, 300_000]
+    bag = marked_bag(tmp_path / "bag", [(1, "a")] * 4, commanded=range(101), late=late)
+    sent = [trial.commands["motor_x"] for trial in read_trials([bag]).stamped]
+    assert [one.time[0] for one in sent] == pytest.approx([late_ns * 1e-9 for late_ns in late], abs=1e-8)
+    for one in sent:
+        assert one.values[:99] == pytest.approx(command(np.arange(99) / 100))
+
+
+def test_a_drive_that_is_switched_on_within_a_trial_was_off_before(tmp_path: Path) -> None:
+    bag = marked_bag(tmp_path / "bag", [(1, "a")] * 2, commanded=range(30, 101))
+    sent = read_trials([bag]).stamped[1].commands["motor_x"]
+    assert sent.time[:3] == pytest.approx([-1.0, -0.99, 0.3])
+    assert np.isnan(sent.values[:3]).tolist() == [False, True, False]
 
 
 def test_marked_bags_without_a_finished_trial_are_refused(tmp_path: Path) -> None:

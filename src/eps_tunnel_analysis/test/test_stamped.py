@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands and measurements at their own stamps: nothing is moved to a grid, so jitter of stamps costs nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -133,6 +135,13 @@ def test_trials_are_aligned_by_their_commands_and_the_measurements_go_with_them(
     first = [trial.commands["a"].time[0] for trial in found]
     assert first == pytest.approx([late.mean()] * 4)
     assert [trial.signals["s"].time[0] for trial in found] == pytest.approx(first)
+
+
+def test_a_last_message_that_one_trial_lacks_keeps_none_from_being_aligned() -> None:
+    whole, late = with_clock(0.0), with_clock(0.004)
+    sent = late.commands["a"]
+    shorter = replace(late, commands={"a": Series(sent.time[:-1], sent.values[:-1])})
+    assert [trial.commands["a"].time[0] for trial in aligned([whole, shorter])] == pytest.approx([0.002] * 2)
 
 
 @pytest.mark.parametrize("other", [with_clock(0.004, size=1.1), with_clock(2.0 * ALIGNED)])

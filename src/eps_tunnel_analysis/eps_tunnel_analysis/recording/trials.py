@@ -474,16 +474,22 @@ def stamped_trial(span: RecordedTrial, max_hold: float | None) -> StampedTrial:
 
 
 def _switched_off(commands: Series, seconds: float, max_hold: float | None) -> Series:
-    """Commands with a NaN where a stream of them falls silent, as `hold` has it."""
+    """Commands with a NaN where a stream of them falls silent, as `hold` has it.
+
+    A stream that resumes within a period of the trial's start belongs to the trial. What was commanded before the
+    silence, by a trial before, is then left out: whether a first message comes just before a start mark or just after
+    it is chance.
+    """
     apart = np.diff(commands.time)
     period = float(np.median(apart)) if len(apart) else 0.0
     if max_hold is None or not 0.0 < period <= max_hold:
         return commands
     silent = np.flatnonzero(np.append(apart, seconds - commands.time[-1]) > max_hold)
-    return Series(
-        np.insert(commands.time, silent + 1, commands.time[silent] + period),
-        np.insert(commands.values, silent + 1, np.nan),
-    )
+    time = np.insert(commands.time, silent + 1, commands.time[silent] + period)
+    values = np.insert(commands.values, silent + 1, np.nan)
+    first = int(np.searchsorted(time, 0.0, side="right"))
+    resumed = 0 < first < len(time) and np.isnan(values[first - 1]) and time[first] <= period
+    return Series(time[first:], values[first:]) if resumed else Series(time, values)
 
 
 def _gaps(recording: Recording, source: Source, window: Window, max_gap: float) -> Iterator[tuple[float, float]]:
