@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.stamped import StampedTrial, setpoints, stamped_from_grid
+from eps_tunnel_analysis.stamped import Series, StampedTrial, setpoints, stamped_from_grid
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Axis
@@ -25,6 +25,7 @@ SENT_WITHIN = 0.01  # by how much, of the command's range
 AT_REST = 0.1  # s, in which an axis that rests as a play begins
 RESTING = 0.003  # of its range, or a tick of its sensor, if that is more, moves less than this
 HELD_WITHIN = 0.25  # of its range; a command that is further away than that moves it, however late
+NEAR = 0.05  # of its range, between the command and an axis that rests though it is shaken
 ROLLOUT_BYTES = 2e8  # bytes of roll-outs on the fine grid that are held at once
 
 
@@ -184,28 +185,42 @@ def axes_at_rest(model: Model, trials: Sequence[StampedTrial]) -> NDArray[np.boo
     Such a drive carries its load already. One that began from its pose as its goal would let the load sag at first,
     and with stiction keep it there.
     """
-    return np.array([_rests(axis, trials) for axis in model.rig.axes])
+    return np.array([_rests(model, axis, trials) for axis in model.rig.axes])
 
 
-def _rests(axis: Axis, trials: Sequence[StampedTrial]) -> bool:
-    """Whether an axis rests, by what its finest sensor says before its command changes, in the mean over the trials."""
+def _rests(model: Model, axis: Axis, trials: Sequence[StampedTrial]) -> bool:
+    """Whether an axis rests, by what its finest sensor says before its command changes, in the mean over the trials.
+
+    One that the motion of another axis shakes at once cannot show that; it rests if it is near its command.
+    """
     seen = [m for m in axis.finest_first if m.quantity == "position" and all(m.signal in t.signals for t in trials)]
+    others = [channel for channel in model.rig.command_channels if channel != axis.command]
     if not seen:
         return False
-    moved, allowed = [], []
+    moved, allowed, away = [], [], []
     for trial in trials:
         measured, command = trial.signals[seen[0].signal], trial.commands.get(axis.command)
         if command is None or not len(command.time) or not np.isfinite(command.values[0]):
             return False
         span = float(np.ptp(measured.values)) if len(measured.values) else 0.0
-        if span <= 0.0 or abs(command.values[0] - measured.values[0]) > HELD_WITHIN * span:
+        if span <= 0.0:
             return False
-        others = command.time[command.values != command.values[0]]
-        early = measured.values[measured.time <= min([max(command.time[0], 0.0) + AT_REST, *others[:1]])]
+        away.append(abs(command.values[0] - measured.values[0]) / span)
+        early = measured.values[measured.time <= _unchanged_until(command)]
         half = len(early) // 2
         moved.append(float(np.median(early[half:]) - np.median(early[:half])) if half > 1 else 0.0)
         allowed.append(max(RESTING * span, seen[0].resolution))
-    return bool(abs(np.mean(moved)) < np.mean(allowed))
+    if max(away) > HELD_WITHIN:
+        return False
+    shaken = any(_unchanged_until(t.commands[name]) < AT_REST for t in trials for name in others if name in t.commands)
+    return bool(abs(np.mean(moved)) < np.mean(allowed) or (shaken and max(away) < NEAR))
+
+
+def _unchanged_until(command: Series) -> float:
+    """s, when a first command gives way to another one; `AT_REST` at most."""
+    if not len(command.time) or np.isnan(command.values[0]):
+        return AT_REST
+    return float(min([max(command.time[0], 0.0) + AT_REST, *command.time[command.values != command.values[0]][:1]]))
 
 
 def _answered_together(model: Model, play: Play) -> list[tuple[StampedTrial, ...]]:

@@ -193,3 +193,22 @@ def test_that_one_trial_s_samples_lie_a_tick_apart_is_no_unrest():
     given = load_model("pendulum")
     assert axes_at_rest(given, [trial(tick), trial(0.0), trial(0.0), trial(0.0)]).tolist() == [True]
     assert axes_at_rest(given, [trial(tick)] * 4).tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    ("other_moves", "first", "rests"),
+    [
+        (True, 0.05, True),
+        (False, 0.05, False),  # what moves it is its own command
+        (True, 0.16, False),  # too far from its goal to rest
+    ],
+)
+def test_an_axis_that_another_one_shakes_at_once_rests_near_its_command(other_moves, first, rests):
+    time = np.arange(200) * 0.01
+    seen = np.where(time < 0.5, 0.04 + 0.02 * np.sin(20.0 * time), -0.5)
+    sent = {
+        "motor_x": Series(time, np.where(other_moves & (time > 0.0), 0.1, 0.0)),
+        "motor_y": Series(time, np.where(time < 0.4, first, -0.5)),
+    }
+    trial = StampedTrial(1.99, sent, {"motor_x": Series(time, np.zeros(200)), "motor_y": Series(time, seen)})
+    assert axes_at_rest(load_model("labyrinth_manual"), [trial]).tolist() == [False, rests]
