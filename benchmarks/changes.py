@@ -28,8 +28,8 @@ import testbed_cases
 from counting import Figure, Record, flat, rate
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
-from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.values.changes import changes
 from labyrinth_hw.testbed.hidden import Hidden, hide
 from labyrinth_sim.model import Model, load_model

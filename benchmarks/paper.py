@@ -23,10 +23,11 @@ from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Part
 from eps_tunnel_analysis.outputs import versions
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.simulated import roll_out
 from eps_tunnel_analysis.terminal import console, fit_bars, table
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
 from labyrinth_hw.testbed.bags import write_bag

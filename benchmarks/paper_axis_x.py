@@ -24,10 +24,11 @@ from eps_tunnel_analysis.alikeness import KS
 from eps_tunnel_analysis.calibration.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.outputs import versions
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording import read, to_plays
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.simulated import roll_out
 from eps_tunnel_analysis.terminal import console, table
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
 from labyrinth_hw.testbed.hidden import TestbedConfig, load_testbed

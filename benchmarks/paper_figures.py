@@ -10,7 +10,8 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import roll_out
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel
 from labyrinth_sim.model import Model
 

@@ -53,8 +53,8 @@ from transfer_tasks.task import TRIALS, Array, Task, in_model, on_rig, play
 
 from eps_tunnel_analysis.calibration.calibrate import Settings, calibrate
 from eps_tunnel_analysis.fit.methods import GaussNewton
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.hidden import TestbedConfig, hide
 from labyrinth_sim.model import Model, load_model
 

@@ -35,7 +35,8 @@ from transfer_tasks.task import BOARD_STEP, RATE, Array, Task, on_rig, play, tra
 from eps_tunnel_analysis.alikeness import KS, alikeness_over_k
 from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import roll_out
 from labyrinth_hw.testbed.hidden import TestbedConfig
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate_batch

@@ -34,9 +34,9 @@ from counting import Figure, Record, flat, rate
 
 from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.diagnose.addition import add_effects
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.values.value_experiment import value_experiment
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import simulate_batch

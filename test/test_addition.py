@@ -17,7 +17,7 @@ from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.falls import by_recording, fall_sentences
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate

@@ -13,9 +13,9 @@ from eps_tunnel_analysis.cli.main import main
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.ball import part_name, sees_ball, without_ball
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command, Hold, Step
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import Run, run_offline

@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import testbed_cases
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Step, Triangle
-from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.values.changes import Changes, changes, over_dates
 from labyrinth_hw.testbed.hidden import Hidden, hide
 from labyrinth_sim.errors import InputError

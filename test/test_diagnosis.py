@@ -23,9 +23,9 @@ from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.diagnose.rank import itself
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command
 from eps_tunnel_analysis.sequence_file import parse_sequence
-from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import Series, StampedTrial
 from labyrinth_hw.testbed.bags import write_bag
 from labyrinth_hw.testbed.hidden import load_testbed

@@ -17,7 +17,7 @@ from eps_tunnel_analysis.diagnose.added_force import Playing
 from eps_tunnel_analysis.law.effect_file import declared, effect_file, seen_mark
 from eps_tunnel_analysis.law.formula import Chosen, command_dictionary, dictionary, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import SWINGS
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.build import own_inertia
 from labyrinth_sim.model import load_model
 from labyrinth_sim.trials import Trials

@@ -14,11 +14,11 @@ from eps_tunnel_analysis.diagnose.diagnose import diagnose
 from eps_tunnel_analysis.law.depends import Dependence
 from eps_tunnel_analysis.law.proposal import Proposal, proposal_of
 from eps_tunnel_analysis.law.refit import floors_on, with_effect_fitted, with_own_effect_fitted
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording.decode import read_all
 from eps_tunnel_analysis.recording.decode import typestore as _typestore
 from eps_tunnel_analysis.recording.trials import to_plays
 from eps_tunnel_analysis.recording.writer import BagWriter
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim import filters
 from labyrinth_sim.curve import other_angle
 from labyrinth_sim.effect import Effect, Parameter, Values, effects

@@ -22,8 +22,8 @@ from eps_tunnel_analysis.calibration.calibrate import METHODS, Settings, make_pr
 from eps_tunnel_analysis.fit.evaluations import Evaluations
 from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Objective, Problem
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.hidden import load_testbed
 from labyrinth_hw.testbed.offline import run_offline
 from labyrinth_sim.model import load_model

@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from ten_diagnoses import SEED, timed_diagnosis
 from testbed_cases import draw, play, rig
 
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.hidden import hide
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import simulate

@@ -19,8 +19,8 @@ from batch import build_loop, run_loop
 from testbed_cases import draw, play, rig
 
 from eps_tunnel_analysis.diagnose.diagnose import diagnose
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_hw.testbed.hidden import hide
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import even_timestep

@@ -12,6 +12,7 @@ import numpy as np
 
 from eps_tunnel_analysis.check.data import check_data, sentences
 from eps_tunnel_analysis.outputs import shown_number
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording import (
     Recording,
     TimeSource,
@@ -24,7 +25,7 @@ from eps_tunnel_analysis.recording import (
 from eps_tunnel_analysis.recording.bag import BAG_SUFFIXES, ROS2_SUFFIXES
 from eps_tunnel_analysis.recording.channel_map import channel_map, held_by_all, namespace_of
 from eps_tunnel_analysis.recording.trials import MAX_GAP, RATE, PlaysResult
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.simulated import roll_out
 from eps_tunnel_analysis.valid import beyond
 from labyrinth_sim.errors import Complaints, InputError
 from labyrinth_sim.model import Model, load_model

@@ -5,17 +5,17 @@ Commands act at their own stamps, on a grid as fine as MuJoCo's step; the answer
 and fit both go this way, so one model has one error on one recording.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.stamped import Series, StampedTrial, setpoints, stamped_from_grid
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.stamped import Series, StampedTrial, setpoints
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS, Axis
-from labyrinth_sim.shown import shown
 from labyrinth_sim.simulate import even_timestep, simulate_batch
 from labyrinth_sim.trials import Array, Trials
 
@@ -31,30 +31,6 @@ ROLLOUT_BYTES = 2e8  # bytes of roll-outs on the fine grid that are held at once
 
 class Diverged(InputError):
     """The simulation of a model went out of bounds."""
-
-
-@shown
-@dataclass(frozen=True)
-class Play:
-    """One command sequence C and the trials in which it was played.
-
-    Attributes:
-        trials: on an even grid, for tunnels.
-        stamped: the same trials at their own stamps, for models; empty where only the grid is known.
-        known: full parameter name -> value, of what is known to have been set for these trials, as a firmware's gain.
-        timing: s, uneven timing within trials that the rig is known to have; more of it counts as something missing.
-    """
-
-    name: str
-    trials: Trials
-    known: Mapping[str, float] = field(default_factory=dict)
-    timing: float = 0.0
-    stamped: tuple[StampedTrial, ...] = ()
-
-    @property
-    def at_stamps(self) -> tuple[StampedTrial, ...]:
-        """The trials at their own stamps; at the grid's where only that is known."""
-        return self.stamped or stamped_from_grid(self.trials)
 
 
 @dataclass(frozen=True)

@@ -262,3 +262,27 @@ def hold(stamps: NDArray[np.int64], values: Array, grid: NDArray[np.int64], max_
         off = seen & (silence[last] > max_hold * 1e9) & (grid - stamps[last] > period)
         out[off] = np.nan
     return out
+
+
+def switched_off(commands: Series, seconds: float, max_hold: float | None) -> Series:
+    """Commands with a NaN where a stream of them falls silent, as `hold` has it.
+
+    A stream that resumes within a period of the trial's start belongs to the trial. What was commanded before the
+    silence, by a trial before, is then left out: whether a first message comes just before a start mark or just after
+    it is chance.
+
+    Args:
+        commands: of one channel, from the one in force at the trial's start on.
+        seconds: the trial's length.
+        max_hold: s; None holds for ever.
+    """
+    apart = np.diff(commands.time)
+    period = float(np.median(apart)) if len(apart) else 0.0
+    if max_hold is None or not 0.0 < period <= max_hold:
+        return commands
+    silent = np.flatnonzero(np.append(apart, seconds - commands.time[-1]) > max_hold)
+    time = np.insert(commands.time, silent + 1, commands.time[silent] + period)
+    values = np.insert(commands.values, silent + 1, np.nan)
+    first = int(np.searchsorted(time, 0.0, side="right"))
+    resumed = 0 < first < len(time) and np.isnan(values[first - 1]) and time[first] <= period
+    return Series(time[first:], values[first:]) if resumed else Series(time, values)

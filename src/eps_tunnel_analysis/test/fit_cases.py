@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from bag_files import START, STEP, Header, JointState, Time, write_bag
 
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import even_timestep, simulate
 from labyrinth_sim.trials import Trials

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate
 from labyrinth_sim.trials import Array, Trials

@@ -19,7 +19,7 @@ from eps_tunnel_analysis.fit.methods import EvolutionStrategy
 from eps_tunnel_analysis.fit.problem import Objective, by_axis, copied, default_free, free_parameters
 from eps_tunnel_analysis.inputs import hold_out
 from eps_tunnel_analysis.outputs import shown_share
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.terminal import print_calibration, text_of
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model

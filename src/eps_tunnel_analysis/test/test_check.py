@@ -14,7 +14,7 @@ from eps_tunnel_analysis.check.check import Check, check
 from eps_tunnel_analysis.check.data import check_data
 from eps_tunnel_analysis.check.excitation import excitation
 from eps_tunnel_analysis.inputs import Recorded, load_recorded
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import load_model
 from labyrinth_sim.trials import Trials
 

@@ -13,7 +13,8 @@ from fit_cases import on_grid
 from eps_tunnel_analysis.calibration.calibrate import judge
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.fit.problem import CommandError, Objective
-from eps_tunnel_analysis.simulated import Play, axes_at_rest, roll_out, same_commands
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import axes_at_rest, roll_out, same_commands
 from eps_tunnel_analysis.stamped import Series, StampedTrial
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model

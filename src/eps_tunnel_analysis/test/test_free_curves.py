@@ -16,7 +16,7 @@ from eps_tunnel_analysis.diagnose.free_curves import free_curves, imitated
 from eps_tunnel_analysis.diagnose.rank import UNKNOWN
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import Search
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.live import Live
 from labyrinth_sim.model import Model, load_model

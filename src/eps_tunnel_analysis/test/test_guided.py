@@ -12,7 +12,7 @@ from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, 
 from eps_tunnel_analysis.diagnose.guided import HOLDS, event_refits, firmly, held_near
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import Search
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 
 CUT = {"share": 0.1, "bound": 0.15, "time": 0.03}
 

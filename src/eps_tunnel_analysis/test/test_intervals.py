@@ -10,7 +10,7 @@ from fit_cases import TRUTH, made_by, start, step
 from eps_tunnel_analysis.calibration.calibrate import Fit, Settings, calibrate
 from eps_tunnel_analysis.fit.intervals import intervals, trade_offs, widened
 from eps_tunnel_analysis.fit.methods import GaussNewton
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 
 QUICK = GaussNewton(scouts=4, starts=1, passes=0)
 P = ("drive.x.p",)

@@ -7,7 +7,7 @@ import pytest
 from eps_tunnel_analysis.diagnose.added_force import Playing, visited
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, search_of
 from eps_tunnel_analysis.diagnose.candidates import Library, library, with_curves
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import simulate
 from labyrinth_sim.trials import Trials

@@ -13,9 +13,9 @@ from eps_tunnel_analysis.law.formula import Chosen, Term, command_dictionary, fo
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.law.proposal import propose
 from eps_tunnel_analysis.law.variables import LATENESS, apart, periods
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import render
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import simulate
 from labyrinth_sim.trials import Trials

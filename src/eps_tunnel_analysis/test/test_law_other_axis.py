@@ -12,7 +12,7 @@ from eps_tunnel_analysis.law.design import COMMAND, Design
 from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Term, command_dictionary, formulas, sensor_dictionary
 from eps_tunnel_analysis.law.missing_force import missing_force
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import simulate
 

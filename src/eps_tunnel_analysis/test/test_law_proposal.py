@@ -32,11 +32,11 @@ from eps_tunnel_analysis.law.proposal import (
     runs_away,
 )
 from eps_tunnel_analysis.outputs import json_text, plain
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import Chart, render
 from eps_tunnel_analysis.sequence import Chirp
 from eps_tunnel_analysis.sequence_file import load_sequence
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.live import Live
 from labyrinth_sim.model import Model, load_model

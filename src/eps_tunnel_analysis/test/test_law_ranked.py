@@ -16,9 +16,9 @@ from eps_tunnel_analysis.law.depends import Depends, depends
 from eps_tunnel_analysis.law.formula import Formula
 from eps_tunnel_analysis.law.missing_force import missing_force, missing_offset
 from eps_tunnel_analysis.law.proposal import NAME, Proposal, also_missing, propose
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.report.law_section import law
 from eps_tunnel_analysis.report.page import render
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.live import Live
 from labyrinth_sim.model import Model, load_model

@@ -10,7 +10,7 @@ from eps_tunnel_analysis.law.design import Design
 from eps_tunnel_analysis.law.formula import Dictionary, dictionaries
 from eps_tunnel_analysis.law.missing_force import missing_force
 from eps_tunnel_analysis.law.single_terms import single_terms
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.live import Live
 from labyrinth_sim.model import Model, load_model

@@ -10,7 +10,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.base_values import Bases, base_refit
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.prescribed import coupled_with, measured_motions, smooth
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.prescribed import prescribed
 from labyrinth_sim.simulate import simulate

@@ -28,7 +28,7 @@ from eps_tunnel_analysis.diagnose.sets import begun, next_refits, refined, rival
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.stated import strain_of
 from eps_tunnel_analysis.diagnose.ticks import command_response
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Trials

@@ -7,7 +7,7 @@ import pytest
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, rough_values
 from eps_tunnel_analysis.diagnose.base_values import GRADUAL, base_refit
 from eps_tunnel_analysis.diagnose.search import Search
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import load_model
 from labyrinth_sim.simulate import simulate
 from labyrinth_sim.trials import Trials

@@ -13,8 +13,9 @@ from fit_cases import TRUTH, bag_of, made_by, plays, start, step
 
 from eps_tunnel_analysis.calibration.calibrate import judge
 from eps_tunnel_analysis.compare import compare
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.report.values_pictures import sweep_picture
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.simulated import roll_out
 from eps_tunnel_analysis.values.sweep import sweep
 from labyrinth_sim.errors import InputError
 

@@ -12,7 +12,8 @@ from fit_cases import TRUTH, bag_of, made_by, plays, start, step
 
 from eps_tunnel_analysis.calibration.calibrate import judge
 from eps_tunnel_analysis.calibration.validity import begun_at, validity_of
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import roll_out
 from eps_tunnel_analysis.valid import beyond
 from labyrinth_sim.model import Model, load_model
 

@@ -9,8 +9,8 @@ import pytest
 from command_line import eps_tunnel, refused
 from fit_cases import TRUTH, bag_of, plays, start
 
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence_file import find_sequence
-from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.values.value_experiment import ValueExperiment, information, value_experiment
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model, load_model

@@ -8,7 +8,8 @@ import pytest
 from fit_cases import TRUTH, made_by, plays, start, step
 
 from eps_tunnel_analysis.compare import compare
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import roll_out
 from eps_tunnel_analysis.values.sweep import WhatIf, adjustable
 from labyrinth_sim.errors import InputError
 

@@ -11,7 +11,7 @@ from eps_tunnel_analysis.diagnose.discrepancy import start_changes
 from eps_tunnel_analysis.fit.intervals import intervals
 from eps_tunnel_analysis.fit.problem import Objective, Problem
 from eps_tunnel_analysis.outputs import shown_value
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.trials import Array
 
 WRONGLY = 0.05  # share of fits to consistent recordings in which one is wrongly reported to differ

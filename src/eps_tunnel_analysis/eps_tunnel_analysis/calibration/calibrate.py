@@ -36,7 +36,8 @@ from eps_tunnel_analysis.fit.problem import (
     by_axis,
 )
 from eps_tunnel_analysis.outputs import plain, shown_value
-from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import Diverged, compared_signals, roll_out
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown

@@ -7,8 +7,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from eps_tunnel_analysis.calibration.calibrate import judge
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording.bag import read_bag
-from eps_tunnel_analysis.simulated import Diverged, Play, roll_out
+from eps_tunnel_analysis.simulated import Diverged, roll_out
 from eps_tunnel_analysis.valid import ranges
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model

@@ -8,7 +8,7 @@ from typing import Any
 from eps_tunnel_analysis.check.data import Finding, check_data, sentences
 from eps_tunnel_analysis.check.excitation import Answer, Excited, excitation
 from eps_tunnel_analysis.outputs import shown_number
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.outputs import shown_number, shown_value
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording.trials import MAX_GAP
-from eps_tunnel_analysis.simulated import Play
 from eps_tunnel_analysis.stamped import Series
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import Axis, Measured

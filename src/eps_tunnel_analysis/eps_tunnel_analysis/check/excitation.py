@@ -18,7 +18,7 @@ from eps_tunnel_analysis.diagnose.candidates import Candidate, library
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import steps_within
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model, ParameterInfo
 from labyrinth_sim.trials import Array
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.filters import Map
 from labyrinth_sim.law import Tables, law, row_of, state

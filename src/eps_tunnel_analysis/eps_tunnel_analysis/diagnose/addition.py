@@ -22,7 +22,7 @@ from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from eps_tunnel_analysis.outputs import plain
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model
 

@@ -14,7 +14,7 @@ from eps_tunnel_analysis.diagnose.experiment import Experiment
 from eps_tunnel_analysis.diagnose.prescribed import coupled_with, measured_motions
 from eps_tunnel_analysis.diagnose.rank import NAMELESS, itself, joint, with_overlooked
 from eps_tunnel_analysis.diagnose.verdict import AxisVerdict, Verdict
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 

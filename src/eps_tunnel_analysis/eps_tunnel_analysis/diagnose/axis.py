@@ -19,7 +19,7 @@ from eps_tunnel_analysis.diagnose.repeats import Repeats, repeats
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.sets import RUNNING, inexact_share, refitted_sets
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.shown import shown
 

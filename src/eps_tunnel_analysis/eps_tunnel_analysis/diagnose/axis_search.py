@@ -19,7 +19,7 @@ from eps_tunnel_analysis.diagnose.evidence import Evidence, PlayEvidence, play_e
 from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Level, Search
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, full_name
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.stamped import setpoints
 from labyrinth_sim.build import axes_couple, compiled, coupled_axes
 from labyrinth_sim.errors import InputError

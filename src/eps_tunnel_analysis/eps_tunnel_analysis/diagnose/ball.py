@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.effect import Effect
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS

@@ -13,7 +13,7 @@ from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import HOPELESS, STANDS, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 

@@ -32,7 +32,7 @@ from eps_tunnel_analysis.diagnose.rank import with_imitated
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import Verdict, decide, sentence
 from eps_tunnel_analysis.fit.cluster import Spread
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 
 

@@ -17,7 +17,7 @@ from eps_tunnel_analysis.diagnose.evidence import play_evidence
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.intervals import autocorrelation_length
 from eps_tunnel_analysis.fit.problem import Objective, Problem, copied
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.trials import Array
 

@@ -19,7 +19,7 @@ from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import in_words
 from eps_tunnel_analysis.fit.problem import by_axis
 from eps_tunnel_analysis.outputs import shown_times
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.prescribed import prescribed
 from labyrinth_sim.rig import BALL_SIGNALS

@@ -11,7 +11,8 @@ from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.ball import sees_ball
 from eps_tunnel_analysis.diagnose.verdict import Errors, PlayError
 from eps_tunnel_analysis.error import mean_error
-from eps_tunnel_analysis.simulated import Play, roll_out
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import roll_out
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 

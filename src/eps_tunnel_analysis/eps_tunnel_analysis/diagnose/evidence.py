@@ -17,7 +17,8 @@ from eps_tunnel_analysis.diagnose.noise import SignalNoise, signal_noise
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import Residuals, copied
-from eps_tunnel_analysis.simulated import Play, axes_at_rest, first_pose, known_values
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import axes_at_rest, first_pose, known_values
 from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS

@@ -17,7 +17,7 @@ from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 
 CURVE_ROUNDS = 12  # of a curve's descent

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, make_smoothing_spline
 
 from eps_tunnel_analysis.diagnose.evidence import Evidence, play_evidence
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.stamped import Series, aligned
 from labyrinth_sim.build import compiled, coupled_axes
 from labyrinth_sim.model import Model

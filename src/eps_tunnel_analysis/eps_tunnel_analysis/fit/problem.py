@@ -13,7 +13,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.simulated import Play, compared_signals, rollouts
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import compared_signals, rollouts
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model

@@ -10,7 +10,7 @@ import numpy as np
 
 from eps_tunnel_analysis.law.depends import SWING
 from eps_tunnel_analysis.law.formula import ADDS, OF_A_COMMAND, OF_A_SENSOR, TRAVEL, Chosen
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.effect import Effect
 from labyrinth_sim.effects.lugre_friction import BRISTLE_TIME
 from labyrinth_sim.errors import InputError

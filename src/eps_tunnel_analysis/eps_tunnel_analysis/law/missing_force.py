@@ -20,7 +20,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import steps_within
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.build import own_inertia
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array

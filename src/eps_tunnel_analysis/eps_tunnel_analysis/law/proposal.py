@@ -38,8 +38,8 @@ from eps_tunnel_analysis.law.refit import Visit, floors_on, library_of, visit
 from eps_tunnel_analysis.law.single_terms import explained_by, single_terms
 from eps_tunnel_analysis.law.variables import OVER_SPEED, knots_of, sensors, variables
 from eps_tunnel_analysis.outputs import shown_number, shown_value
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.curve import NAMES
 from labyrinth_sim.effect import effects, slide_unit
 from labyrinth_sim.model import Model, save_model

@@ -18,9 +18,9 @@ from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, candidat
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.law.depends import Dependence
 from eps_tunnel_analysis.law.variables import OVER_OTHER, OVER_SPEED
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Chirp, Command, Hold, Ramp, Shape, Triangle
 from eps_tunnel_analysis.sequence_file import sequence_text
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.effect import Effect
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import Axis

@@ -23,7 +23,7 @@ from eps_tunnel_analysis.law.effect_file import declared, effect_file
 from eps_tunnel_analysis.law.formula import Chosen, Dictionary, Formula, Number, Term, best_shape
 from eps_tunnel_analysis.law.refit import library_of
 from eps_tunnel_analysis.law.variables import LEAST_WAVES
-from eps_tunnel_analysis.simulated import Play
+from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Array
 

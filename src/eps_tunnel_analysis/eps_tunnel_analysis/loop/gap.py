@@ -14,11 +14,11 @@ from eps_tunnel_analysis.compare import Comparison, compare
 from eps_tunnel_analysis.diagnose.repeats import repeats
 from eps_tunnel_analysis.error import error_unit, mean_error
 from eps_tunnel_analysis.outputs import circumstances, new_folder, versions
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording import Recording, read, to_trials
 from eps_tunnel_analysis.recording.trials import RATE
 from eps_tunnel_analysis.report.next_step import after_comparison
 from eps_tunnel_analysis.report.reports import write_comparison
-from eps_tunnel_analysis.simulated import Play
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import Rig
 

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.outputs import shown_number
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.recording.channel_map import ChannelMap, Source, channel_map, guessed_map, namespace_of
 from eps_tunnel_analysis.recording.decode import BALL_STATE, read_all
 from eps_tunnel_analysis.recording.plausible import Samples, doubts
 from eps_tunnel_analysis.recording.recording import Recording, StampedTopic, TimeSource, TrialMark
-from eps_tunnel_analysis.simulated import Play
-from eps_tunnel_analysis.stamped import Series, StampedTrial, hold, interpolate
+from eps_tunnel_analysis.stamped import Series, StampedTrial, hold, interpolate, switched_off
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.rig import Rig
 from labyrinth_sim.shown import shown
@@ -467,29 +467,10 @@ def stamped_trial(span: RecordedTrial, max_hold: float | None) -> StampedTrial:
         return Series(time[inside], values[inside])
 
     commands = {
-        source.name: _switched_off(series_of(source, True), seconds, max_hold) for source in span.channels.commands
+        source.name: switched_off(series_of(source, True), seconds, max_hold) for source in span.channels.commands
     }
     signals = {source.name: series_of(source, False) for source in span.channels.signals}
     return StampedTrial(seconds, commands, signals, str(span.recording.path))
-
-
-def _switched_off(commands: Series, seconds: float, max_hold: float | None) -> Series:
-    """Commands with a NaN where a stream of them falls silent, as `hold` has it.
-
-    A stream that resumes within a period of the trial's start belongs to the trial. What was commanded before the
-    silence, by a trial before, is then left out: whether a first message comes just before a start mark or just after
-    it is chance.
-    """
-    apart = np.diff(commands.time)
-    period = float(np.median(apart)) if len(apart) else 0.0
-    if max_hold is None or not 0.0 < period <= max_hold:
-        return commands
-    silent = np.flatnonzero(np.append(apart, seconds - commands.time[-1]) > max_hold)
-    time = np.insert(commands.time, silent + 1, commands.time[silent] + period)
-    values = np.insert(commands.values, silent + 1, np.nan)
-    first = int(np.searchsorted(time, 0.0, side="right"))
-    resumed = 0 < first < len(time) and np.isnan(values[first - 1]) and time[first] <= period
-    return Series(time[first:], values[first:]) if resumed else Series(time, values)
 
 
 def _gaps(recording: Recording, source: Source, window: Window, max_gap: float) -> Iterator[tuple[float, float]]:

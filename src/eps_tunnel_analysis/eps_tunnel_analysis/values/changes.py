@@ -37,7 +37,8 @@ from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import decide, in_words, percent, undecided
 from eps_tunnel_analysis.fit.intervals import intervals
 from eps_tunnel_analysis.outputs import plain, shown_value
-from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, roll_out, same_commands
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import Diverged, compared_signals, roll_out, same_commands
 from labyrinth_sim.effect import Effect, Parameter
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model

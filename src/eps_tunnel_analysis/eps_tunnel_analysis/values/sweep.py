@@ -15,7 +15,8 @@ import numpy as np
 from eps_tunnel_analysis.alikeness import KS, Alikeness, alikeness_over_k, joint_against_itself, rig_against_itself
 from eps_tunnel_analysis.error import command_error
 from eps_tunnel_analysis.outputs import plain
-from eps_tunnel_analysis.simulated import Diverged, Play, compared_signals, rollouts
+from eps_tunnel_analysis.recorded_play import Play
+from eps_tunnel_analysis.simulated import Diverged, compared_signals, rollouts
 from eps_tunnel_analysis.tunnel import build_tunnel, smooth
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.model import Model

@@ -20,9 +20,10 @@ from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.differences import moved
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, free_parameters
 from eps_tunnel_analysis.outputs import plain
+from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.sequence import Command, Hold, Ramp, Shape
 from eps_tunnel_analysis.sequence_file import sequence_text
-from eps_tunnel_analysis.simulated import Play, rollouts
+from eps_tunnel_analysis.simulated import rollouts
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import Axis
