@@ -211,13 +211,14 @@ def rank(
     fitted = [h.refit.residuals for h in everything]
     here = np.ones(len(folds), dtype=bool) if asked is None else asked
     worst = _of_worst_signal(fitted, folds, weights, parts, here) / unit
-    # Whether something is missing is a fact of the recording; what explains it is resampled.
-    worst[:, 0] = _of_worst_signal(fitted[:1], folds, np.ones((1, weights.shape[1])), parts, here)[0, 0] / unit
+    # Whether something is missing, or left, is a fact of the recording; what explains it is resampled.
+    left = _of_worst_signal(fitted, folds, np.ones((1, weights.shape[1])), parts, here)[0] / unit
+    worst[:, 0] = left[0]
     worth = independent(best.left_out, blocks)
     first = 1 + len(hypotheses)
     lowest_curve = worst[:, first:].min(axis=1) if curves else np.full(len(costs), np.inf)
     none, shares, unknown = _probabilities(
-        base, hypotheses, costs[:, :first], worst[:, :first], lowest_curve, worth, tried, level / unit,
+        base, hypotheses, costs[:, :first], worst[:, :first], left[1:first], lowest_curve, worth, tried, level / unit,
         floor, unit,
     )  # fmt: skip
     if not floor:
@@ -298,6 +299,7 @@ def _probabilities(
     hypotheses: Sequence[Hypothesis],
     costs: Array,
     worst: Array,
+    left: Array,
     curve: Array,
     worth: float,
     tried: int,
@@ -311,7 +313,8 @@ def _probabilities(
         bare: the base alone.
         hypotheses: h of them.
         costs: (d, 1 + h) floors left by the base and by each, which decide between them.
-        worst: the same for each one's worst signal, which shows whether anything is left.
+        worst: the same for each one's worst signal.
+        left: (h,) floors that each leaves on its worst signal in this recording, which show whether anything is left.
         curve: (d,) floors left by the best free curve.
         worth: independent samples.
         unit: of all costs, in floors; other than 1 where the floor is not known.
@@ -358,7 +361,7 @@ def _probabilities(
     enough = 1.0 - _above(curve, SETTINGS.healthy)
     formed = kept * np.maximum(base - 1.0, 0.0)[:, None] * np.where(several, 1.0 - enough[:, None], 1.0)
     formed = np.maximum(formed, np.maximum(level - 1.0, 0.0))
-    beyond = _above(remaining, SETTINGS.healthy + SETTINGS.form * formed)
+    beyond = _above(left, SETTINGS.healthy + SETTINGS.form * formed)
     excess = (remaining - curve[:, None]) / _curve_room(before, curve)[:, None]
     formless = _above(excess, 1.0)
     explained = (1.0 - beyond) * (1.0 - formless)
