@@ -23,7 +23,8 @@ def unknown(left: float, base: float = 5.0) -> float:
 
     def one(effects: tuple[str, ...], cost: float) -> Hypothesis:
         values = np.sqrt(cost) * residuals
-        return Hypothesis(Refit(effects, np.zeros(1), values, float(np.mean(values**2)), 3 + len(effects), True), values)
+        refit = Refit(effects, np.zeros(1), values, float(np.mean(values**2)), 3 + len(effects), True)
+        return Hypothesis(refit, values)
 
     found = rank(one((), base), [one(("true.x",), 1.0)], folds, signals, tried=10, signals=signals)
     return found.probabilities[UNKNOWN]
