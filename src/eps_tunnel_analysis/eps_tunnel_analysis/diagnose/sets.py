@@ -21,7 +21,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     without,
 )
 from eps_tunnel_analysis.diagnose.guided import event_refits
-from eps_tunnel_analysis.diagnose.rank import worst_floors
+from eps_tunnel_analysis.diagnose.rank import form_leaves, worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, base_and_sets, best_by_set, lowest
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -58,7 +58,8 @@ def refitted_sets(
     Returns:
         The base, from a better start if the effects showed one, and a refit of each set that was tried.
     """
-    allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
+    shows = np.inf if search.library.by_events() else SETTINGS.visible
+    allowed = healthy + float(form_leaves(max(level - 1.0, 0.0), shows))
     if not search.library.candidates:
         return base, []
     base = _rested(search, base, allowed)
@@ -78,7 +79,8 @@ def refitted_sets(
     if lacking(best, refits):
         fitted = {r.effects: r for r in (base, best)}.values()
         ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
-        more = [*ticks, *event_refits(search, [*fitted], allowed)]
+        left = worst_floors(best.residuals, search.signal)
+        more = [*ticks, *event_refits(search, [*fitted] if left > allowed else [], allowed)]
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
         worth = _explains(base, best)
@@ -289,7 +291,8 @@ def lacks_more(
     def allowed(refit: Refit) -> float:
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
         share = SETTINGS.close if floor else SETTINGS.unrepeated
-        return share * (healthy + SETTINGS.form * max(inexact * base.cost, level))
+        most = SETTINGS.visible if floor and not search.library.by_events(refit.effects) else np.inf
+        return share * (healthy + float(form_leaves(max(inexact * base.cost, level), most)))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
     return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))
