@@ -198,3 +198,20 @@ def test_only_a_base_that_leaves_a_little_is_descended_further_by_itself(
     told(monkeypatch, next_refits=lambda *_, **__: [found(0.9, GAIN)], settled=at_rest)
     refitted_sets(search, found(cost))
     assert len(alone) == rested
+
+
+@pytest.mark.parametrize(("cost", "exhaustive", "sought"), [(3.0, False, True), (1.4, False, False), (1.4, True, True)])
+def test_events_are_looked_for_only_where_more_is_left_than_a_healthy_rig_leaves(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, cost: float, exhaustive: bool, sought: bool
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def event_refits(_: Search, on: Sequence[Refit], __: float) -> list[Refit]:
+        asked.extend(refit.effects for refit in on)
+        return []
+
+    answers = {(): [found(cost, FRICTION)]}
+    told(monkeypatch, next_refits=growing([], answers), event_refits=event_refits)
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    refitted_sets(search, found(3.5))
+    assert asked == ([(), (FRICTION,)] if sought else [])

@@ -79,8 +79,8 @@ def refitted_sets(
     if lacking(best, refits):
         fitted = {r.effects: r for r in (base, best)}.values()
         ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
-        left = worst_floors(best.residuals, search.signal)
-        more = [*ticks, *event_refits(search, [*fitted] if left > allowed else [], allowed)]
+        show = search.exhaustive or worst_floors(best.residuals, search.signal) > allowed
+        more = [*ticks, *event_refits(search, [*fitted] if show else [], allowed)]
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
         worth = _explains(base, best)
