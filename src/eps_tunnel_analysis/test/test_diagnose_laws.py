@@ -38,7 +38,6 @@ from labyrinth_sim.model import load_model
 COSTS = st.floats(0.05, 1e4)
 SAME = 0.02  # what a probability may change by where nothing of meaning has changed
 SAMPLES, FOLDS = 1200, 16
-MOST = np.full(3, SETTINGS.visible)  # that the forms of three hypotheses may leave
 
 
 # ---- residuals made for the purpose: of each hypothesis the same noise, larger or smaller
@@ -325,7 +324,7 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
         least = max(s.material, s.share * (base - 1.0))
         costs = np.array([[least + 1.0, 1.0]])
         sets = [hypothesis(effects, np.ones(8)) for effects in (("a.x",), ("a.x", "b.x"))]
-        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), MOST[:2], 1.0)
+        needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), 1.0)
         assert needed == pytest.approx(np.array([[1.0, 0.5]]))
     assert rank_module._curve_room(101.0, 1.0) == pytest.approx(max(s.material, 100.0 * s.curve))
     assert smallest_set({"a": s.coverage, "b": 1.0 - s.coverage}, s.coverage) == ("a",)
@@ -334,7 +333,7 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
 def test_an_effect_that_takes_away_none_of_what_is_left_is_no_rival_of_one_that_does() -> None:
     sets = [hypothesis((name,), np.ones(8)) for name in ("a.x", "b.x", "c.x")]
     left = np.array([[1.1, 2.1, 2.2]])
-    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), MOST, 1.0)
+    needed = rank_module._needed(sets, np.array([2.1]), left, np.array([1.1]), np.ones(3), 1.0)
     assert needed[0, 0] > 0.95 and needed[0, 1:].max() < 1e-6
 
 
@@ -351,9 +350,9 @@ def test_what_an_effect_of_one_form_leaves_is_something_else() -> None:
     folds = np.arange(SAMPLES) * FOLDS // SAMPLES
 
     def said(inexact: float) -> dict[str, float]:
-        left = {("a.x",): (3.0, inexact), ("a.x", "b.x"): (1.0, 0.02)}
+        left = {("a.x",): (4.0, inexact), ("a.x", "b.x"): (1.0, 0.02)}
         sets = [replace(hypothesis(e, np.sqrt(cost) * unit), inexact=share) for e, (cost, share) in left.items()]
-        base = hypothesis((), np.sqrt(150.0) * unit)
+        base = hypothesis((), np.sqrt(200.0) * unit)
         return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), 10).probabilities
 
     assert said(0.0)["a.x + b.x"] > 0.9
@@ -381,7 +380,7 @@ def test_the_form_of_an_effect_counts_for_what_that_effect_explains() -> None:
 def test_what_a_form_may_leave_a_rival_of_a_single_form_that_fits_as_well_may_not() -> None:
     exact = {"torque.x": True, "load.x": False, "play.x": False}
     found = {name: SimpleNamespace(effect=SimpleNamespace(exact=is_exact)) for name, is_exact in exact.items()}
-    library = SimpleNamespace(find=found.__getitem__, by_events=lambda names: False)
+    library = SimpleNamespace(find=found.__getitem__)
     search: Any = SimpleNamespace(library=library, signal=np.zeros(SAMPLES, dtype=np.int64))
 
     def refit(names: tuple[str, ...], cost: float) -> Refit:

@@ -181,9 +181,8 @@ def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> 
                          search.firmness_at(refit.values)[columns])  # fmt: skip
     unused = _unused(search, refit)
     return Hypothesis(
-        refit, predicted, tuple(frozenset(o.effects) for o in contains), search.strain(refit.values), unused=unused,
-        by_events=search.library.by_events(refit.effects),
-    )  # fmt: skip
+        refit, predicted, tuple(frozenset(o.effects) for o in contains), search.strain(refit.values), unused=unused
+    )
 
 
 def _unused(search: Search, refit: Refit) -> int:

@@ -92,12 +92,6 @@ class Library:
         """The candidates of these names, in their order."""
         return tuple(self.find(name) for name in names)
 
-    def by_events(self, names: Iterable[str] = ()) -> bool:
-        """Whether one of these candidates, or an effect that the model has, acts by events."""
-        known = self.model.registry.effects
-        acting = {name.split(".")[0] for name in (*self.base, *names)} & set(known)
-        return any(parameter.abrupt for name in acting for parameter in known[name].parameters)
-
 
 def library(model: Model, base: Sequence[str], with_ball: bool = False, only: Iterable[str] | None = None) -> Library:
     """Every effect that can act on the rig and is not in the model yet.

@@ -47,8 +47,6 @@ class Hypothesis:
         strain: how unlikely its values are beside what is stated: minus twice the logarithm of their likelihood.
         inexact: share of the base's misfit explained by those of its effects that occur in several forms.
         unused: how many of its effects' values lie at a bound, and so are not free.
-        by_events: whether an effect of it acts by events. One of these a little early leaves much, so that what is left
-            says little of the effect's form.
     """
 
     refit: Refit
@@ -57,7 +55,6 @@ class Hypothesis:
     strain: float = 0.0
     inexact: float = 1.0
     unused: int = 0
-    by_events: bool = False
 
     @property
     def cost(self) -> float:
@@ -331,20 +328,17 @@ def _probabilities(
             else np.zeros_like(base)
         )
         return 1.0 - lacking, remaining, lacking
-    shows = SETTINGS.visible if floor else np.inf
-    most = np.array([np.inf if h.by_events else shows for h in hypotheses])
-    # No form is exact.
-    known = 1.0 + form_leaves(np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0), shows)
+    known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # because no form is exact
     before = np.maximum(base, level)
     beyond_noise = np.maximum(before - 1.0, 0.0)
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
-    scores = _between_forms(hypotheses, scores, costs[:, 1:], remaining, beyond_noise, kept, most, worth, unit)
+    scores = _between_forms(hypotheses, scores, costs[:, 1:], remaining, beyond_noise, kept, worth, unit)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
     values = _free_values(hypotheses) - bare.refit.free
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.maximum(values, 0)
-    needed = _needed(hypotheses, base, remaining, beyond_noise, kept, most, unit)
+    needed = _needed(hypotheses, base, remaining, beyond_noise, kept, unit)
     scores += np.log(np.maximum(needed, 1e-300))
     # A value far from the stated one counts as evidence like a misfit.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
@@ -360,14 +354,14 @@ def _probabilities(
     # What is little enough for a healthy rig is missing only as far as it also predicts what it was not fitted to.
     fitted, predicted = _gain(base, remaining.min(axis=1)), _gain(costs[:, 0], costs[:, 1:].min(axis=1))
     gain = np.maximum(np.minimum(fitted, predicted), _gain(base, curve)) - 2.0 * SETTINGS.width
-    allowed = SETTINGS.healthy + form_leaves(max(level - 1.0, 0.0), np.inf if bare.by_events else shows)
+    allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     # A sum of effects may leave nothing for its forms where one curve does without: it may only imitate that one.
     several = np.array([h.refit.several for h in hypotheses])
     enough = 1.0 - _above(curve, SETTINGS.healthy)
     formed = kept * np.maximum(base - 1.0, 0.0)[:, None] * np.where(several, 1.0 - enough[:, None], 1.0)
     formed = np.maximum(formed, np.maximum(level - 1.0, 0.0))
-    beyond = _above(left, SETTINGS.healthy + form_leaves(formed, most))
+    beyond = _above(left, SETTINGS.healthy + SETTINGS.form * formed)
     excess = (remaining - curve[:, None]) / _curve_room(before, curve)[:, None]
     formless = _above(excess, 1.0)
     explained = (1.0 - beyond) * (1.0 - formless)
@@ -386,7 +380,7 @@ def _surprise(cost: Array) -> Array:
 
 
 def _needed(
-    hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, most: Array, unit: float
+    hypotheses: Sequence[Hypothesis], base: Array, costs: Array, misfit: Array, kept: Array, unit: float
 ) -> Array:
     """(d, h) how far each hypothesis explains materially more than each of fewer effects that it contains, or the base.
 
@@ -396,7 +390,6 @@ def _needed(
     Args:
         misfit: (d,) floors beyond the noise.
         kept: (h,) share of them by which the form of each hypothesis counts.
-        most: (h,) floors that the form of each may leave.
         unit: of the costs, in floors.
     """
     needed = np.ones_like(costs)
@@ -408,14 +401,13 @@ def _needed(
         # One effect matters if it is more than the sensors' noise; another one if it is more than what the best leaves.
         matters = SETTINGS.material / (unit if len(sets[i]) < 2 else min(unit, 1.0))
         for cost, share in simpler:
-            explains = _materially(cost - costs[:, i], misfit, share, most[i], matters)
-            needed[:, i] = np.minimum(needed[:, i], explains)
+            needed[:, i] = np.minimum(needed[:, i], _materially(cost - costs[:, i], misfit, share, matters))
     return needed
 
 
 def _between_forms(
     hypotheses: Sequence[Hypothesis], scores: Array, costs: Array, worst: Array, misfit: Array, kept: Array,
-    most: Array, worth: float, unit: float,
+    worth: float, unit: float,
 ) -> Array:  # fmt: skip
     """Scores (d, h) of general and of simple forms of the same effects, by what they leave on the worst signal.
 
@@ -429,7 +421,7 @@ def _between_forms(
         gain = worst[:, j] - worst[:, i]
         general, simple = (_above(worst[:, k] * unit, SETTINGS.healthy) for k in (i, j))
         completes[i, j] = (1.0 - general) * simple * _above(gain * unit, SETTINGS.material)
-        more = np.maximum(_materially(gain, misfit, kept[j], most[j]), completes[i, j])
+        more = np.maximum(_materially(gain, misfit, kept[j]), completes[i, j])
         alike = np.minimum(scores[:, i], scores[:, j])
         capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)
         if _acts_as(hypotheses[i], hypotheses[j]):
@@ -460,20 +452,15 @@ def _forms(hypotheses: Sequence[Hypothesis]) -> Iterator[tuple[int, int]]:
         yield from ((i, j) for j, other in enumerate(sets) if len(other) == len(sets[i]) and other in h.contains)
 
 
-def _materially(gain: Array, misfit: Array, kept: float, most: float, matters: float = SETTINGS.material) -> Array:
+def _materially(gain: Array, misfit: Array, kept: float, matters: float = SETTINGS.material) -> Array:
     """(d,) from 0 to 1: how far gains (d,) are more than what matters and than what form alone may do."""
-    least = np.maximum(matters, np.minimum(SETTINGS.share * kept * misfit, most))
+    least = np.maximum(matters, SETTINGS.share * kept * misfit)
     return _above(gain, least)
 
 
 def _curve_room(base: Array | float, curve: Array | float) -> Array:
     """Floors by which a named effect may be worse than a free curve."""
     return np.maximum(SETTINGS.material, SETTINGS.curve * np.maximum(np.asarray(base) - np.asarray(curve), 0.0))
-
-
-def form_leaves(misfit: Array | float, most: Array | float = SETTINGS.visible) -> Array:
-    """Floors that the right effect may leave of a misfit because its form is not exact; `most` at most."""
-    return np.minimum(SETTINGS.form * np.asarray(misfit), most)
 
 
 def _above(floors: Array, limit: Array | float) -> Array:

@@ -21,7 +21,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     without,
 )
 from eps_tunnel_analysis.diagnose.guided import event_refits
-from eps_tunnel_analysis.diagnose.rank import form_leaves, worst_floors
+from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, base_and_sets, best_by_set, lowest
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -58,8 +58,7 @@ def refitted_sets(
     Returns:
         The base, from a better start if the effects showed one, and a refit of each set that was tried.
     """
-    shows = np.inf if search.library.by_events() else SETTINGS.visible
-    allowed = healthy + float(form_leaves(max(level - 1.0, 0.0), shows))
+    allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
     if not search.library.candidates:
         return base, []
     base = _rested(search, base, allowed)
@@ -291,8 +290,7 @@ def lacks_more(
     def allowed(refit: Refit) -> float:
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
         share = SETTINGS.close if floor else SETTINGS.unrepeated
-        most = SETTINGS.visible if floor and not search.library.by_events(refit.effects) else np.inf
-        return share * (healthy + float(form_leaves(max(inexact * base.cost, level), most)))
+        return share * (healthy + SETTINGS.form * max(inexact * base.cost, level))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
     return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))

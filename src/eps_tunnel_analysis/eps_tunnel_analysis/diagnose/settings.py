@@ -37,9 +37,6 @@ class DiagnosisSettings:
         to be ruled out.
     form: share of the base's misfit that the right effect may leave, because no form of it is exact. Measured on
         tuning rigs: right forms leave up to 4 %, wrong ones 8 % and more.
-    visible: floors at which what is left shows in any case: three times the noise, squared. An effect's form may leave
-        no more, however large the misfit. Derived; right forms leave up to 1.8 of misfits of up to 4,000, wrong ones 20
-        to 90 of 20,000.
     material: floors that an effect must explain, at least, to be named. Chosen: a third of what is visible.
     worthwhile: share of the misfit beyond noise that an effect must explain before another one is tried on top of it.
         Chosen: what explains less is no start.
@@ -100,7 +97,6 @@ class DiagnosisSettings:
     unrepeated: float = 2.0
     close: float = 0.75
     form: float = 0.05
-    visible: float = 9.0
     material: float = 0.5
     worthwhile: float = 0.2
     exact: float = 0.1
