@@ -193,7 +193,7 @@ def _rests(model: Model, axis: Axis, trials: Sequence[StampedTrial]) -> bool:
 
 
 def _unchanged_until(command: Series) -> float:
-    """s, when a first command gives way to another one; `AT_REST` at most."""
+    """s, when a first command gives way to another one; `AT_REST` after it came, at most."""
     if not len(command.time) or np.isnan(command.values[0]):
         return AT_REST
     return float(min([max(command.time[0], 0.0) + AT_REST, *command.time[command.values != command.values[0]][:1]]))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rank_cases import FOLDS, SAMPLES, hypothesis
 
 from eps_tunnel_analysis.diagnose import rank as rank_module
 from eps_tunnel_analysis.diagnose.axes import axis_verdict
@@ -37,7 +38,6 @@ from labyrinth_sim.model import load_model
 
 COSTS = st.floats(0.05, 1e4)
 SAME = 0.02  # what a probability may change by where nothing of meaning has changed
-SAMPLES, FOLDS = 1200, 16
 
 
 # ---- residuals made for the purpose: of each hypothesis the same noise, larger or smaller
@@ -49,11 +49,6 @@ def smooth_noise(samples: int, seed: int, correlated: int = 15) -> np.ndarray:
     window = np.exp(-0.5 * (np.arange(-2 * correlated, 2 * correlated) / (0.5 * correlated)) ** 2)
     found = np.convolve(white, window, mode="same")[2 * correlated : 2 * correlated + samples]
     return found / np.sqrt(np.mean(found**2))
-
-
-def hypothesis(effects: Sequence[str], residuals: np.ndarray) -> Hypothesis:
-    cost = float(np.mean(residuals**2))
-    return Hypothesis(Refit(tuple(effects), np.zeros(1), residuals, cost, 3 + len(effects), True), residuals)
 
 
 def probabilities(

@@ -2,11 +2,11 @@
 """Whether anything is left is a fact of the recording, however unevenly it is spread over it."""
 
 import numpy as np
+from rank_cases import FOLDS, SAMPLES, hypothesis
 
-from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Hypothesis, rank
-from eps_tunnel_analysis.diagnose.refits import Refit
+from eps_tunnel_analysis.diagnose.rank import UNKNOWN, rank
 
-SAMPLES, FOLDS, FEW = 1200, 16, 150
+FEW = 150
 
 
 def unknown(left: float, base: float = 5.0) -> float:
@@ -21,12 +21,8 @@ def unknown(left: float, base: float = 5.0) -> float:
     signals = np.repeat([0, 1], [SAMPLES, 2 * FEW])
     folds = np.concatenate([np.arange(SAMPLES) * FOLDS // SAMPLES, np.repeat([2, 9], FEW)])
 
-    def one(effects: tuple[str, ...], cost: float) -> Hypothesis:
-        values = np.sqrt(cost) * residuals
-        refit = Refit(effects, np.zeros(1), values, float(np.mean(values**2)), 3 + len(effects), True)
-        return Hypothesis(refit, values)
-
-    found = rank(one((), base), [one(("true.x",), 1.0)], folds, signals, tried=10, signals=signals)
+    missing, true = hypothesis((), np.sqrt(base) * residuals), hypothesis(("true.x",), residuals)
+    found = rank(missing, [true], folds, signals, tried=10, signals=signals)
     return found.probabilities[UNKNOWN]
 
 

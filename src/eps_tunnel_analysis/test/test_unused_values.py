@@ -6,20 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fit_cases import TRUTH, plays, start
+from rank_cases import FOLDS, SAMPLES
+from rank_cases import hypothesis as hypothesis_of
 
 from eps_tunnel_analysis.diagnose.axis import hypothesis
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.rank import Hypothesis, rank
 from eps_tunnel_analysis.diagnose.refits import Refit
 
-SAMPLES, FOLDS = 1200, 16
-
 
 def leaving(residuals: np.ndarray, effects: tuple[str, ...], free: int, unused: int) -> Hypothesis:
     """A hypothesis that leaves residuals (SAMPLES,); general.x contains simple.x."""
-    refit = Refit(effects, np.zeros(1), residuals, float(np.mean(residuals**2)), free, True)
     contains = (frozenset({"simple.x"}),) if effects == ("general.x",) else ()
-    return Hypothesis(refit, residuals, contains, unused=unused)
+    return replace(hypothesis_of(effects, residuals, free), contains=contains, unused=unused)
 
 
 @pytest.mark.parametrize(("slow", "unused"), [(0.0, 1), (0.05, 0)])

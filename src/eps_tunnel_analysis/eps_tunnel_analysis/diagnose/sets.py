@@ -79,7 +79,7 @@ def refitted_sets(
         fitted = {r.effects: r for r in (base, best)}.values()
         ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
         show = search.exhaustive or worst_floors(best.residuals, search.signal) > allowed
-        more = [*ticks, *event_refits(search, [*fitted] if show else [], allowed)]
+        more = [*ticks, *(event_refits(search, [*fitted], allowed) if show else [])]
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
         worth = _explains(base, best)
