@@ -15,7 +15,7 @@ from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.search import Search
-from eps_tunnel_analysis.diagnose.sets import refitted_sets, settled
+from eps_tunnel_analysis.diagnose.sets import refitted_sets, rival_refits, settled
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 
 FRICTION, GAIN, TICK, WAVES = "direction_friction.x", "gain_error.x", "command_quantisation.x", "positioning_error.x"
@@ -113,6 +113,33 @@ def test_what_is_best_only_in_the_end_has_rivals_too(
     assert ((FRICTION, GAIN) in [r.effects for r in refits]) is not known
 
 
+def test_what_the_rivals_of_the_last_set_led_to_has_rivals_too(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = {(FRICTION,): (WAVES, TICK), (WAVES, TICK): (WAVES, GAIN), (WAVES, GAIN): (FRICTION, GAIN)}
+    asked: list[tuple[str, ...]] = []
+
+    def rivals(_: Search, best: Refit, __: object) -> list[Refit]:
+        asked.append(best.effects)
+        return [found(5.0 - len(asked), *answers[best.effects])] if best.effects in answers else []
+
+    told(monkeypatch, next_refits=lambda *_, **__: [found(20.0, FRICTION)], rival_refits=rivals)
+    _, refits = refitted_sets(search, found(100.0))
+    assert asked == [(FRICTION,), (WAVES, TICK), (WAVES, GAIN), (FRICTION, GAIN)]
+    assert min(refits, key=lambda r: r.cost).effects == (FRICTION, GAIN)
+
+
+@pytest.mark.parametrize("others", [(), (TICK,)])
+def test_any_effect_may_replace_one_of_several_and_only_a_rival_one_alone(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, others: tuple[str, ...]
+) -> None:
+    looked: set[str] = set()
+    monkeypatch.setattr(search, "trial_points", lambda _, candidates: looked.update(c.name for c in candidates) or [])
+    rival_refits(search, found(3.0, FRICTION, *others), [])
+    every = {c.name for c in search.library.candidates}
+    assert looked < every - {FRICTION} if not others else looked == every - {FRICTION, TICK}
+
+
 @pytest.mark.parametrize(
     ("limit", "profile", "tried"),
     [
@@ -171,6 +198,30 @@ def test_what_is_near_the_best_in_the_end_is_descended_until_it_rests(search: Se
     assert (rested.effects, unchanged) == ((LOAD,), far)
     assert stopped.cost > 1.5
     assert max(again.cost, rested.cost) < 1.05
+
+
+def test_a_set_near_the_best_starts_again_from_the_base_values_of_the_best(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size, asked = len(search.library.base), []
+
+    def refit(jobs: Sequence[Job], *_: object) -> list[Refit]:
+        asked.append(jobs)
+        names = [tuple(c.name for c in candidates) for candidates, _ in jobs]
+        better = len(asked) > 1  # which the other one's base values lead to
+        return [replace(found(0.8 if better and n == (LOAD,) else 1.2, *n), values=jobs[0][1]) for n in names]
+
+    monkeypatch.setattr(search, "refit", refit)
+    there, away = search.start.copy(), search.start.copy()
+    away[0] += 0.1 * search.spans[0]
+    best, other = replace(found(1.0, GAIN), values=there), replace(found(1.1, LOAD), values=away)
+    far = replace(found(50.0, FRICTION), values=away)
+    _, refits = settled(search, found(50.0), [best, other, far])
+    assert {r.effects: r.cost for r in refits} == {(LOAD,): 0.8, (GAIN,): 1.0, (FRICTION,): 50.0}
+    (first, again) = asked
+    assert [point[0] for _, point in first] == [there[0], away[0]]
+    assert [point[0] for _, point in again] == [away[0], there[0]], "each from the other's"
+    assert np.array_equal(again[1][1][size:], other.values[size:]), "its effects' values are its own"
 
 
 def test_a_base_that_was_stopped_short_rests_before_anything_is_looked_for(

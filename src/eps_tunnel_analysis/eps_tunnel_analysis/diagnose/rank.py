@@ -17,6 +17,7 @@ from scipy.optimize import lsq_linear
 from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.intervals import autocorrelation_length
+from labyrinth_sim.curve import KNOTS
 from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array
 
@@ -332,7 +333,9 @@ def _probabilities(
     before = np.maximum(base, level)
     beyond_noise = np.maximum(before - 1.0, 0.0)
     kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
+    noise = np.minimum(costs.min(axis=1, keepdims=True), 1.0) if floor else np.ones((len(costs), 1))
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
+    scores -= 0.5 * _of_forms(hypotheses, costs[:, 1:] / noise, worth)
     scores = _between_forms(hypotheses, scores, costs[:, 1:], remaining, beyond_noise, kept, worth, unit)
     scores -= np.array([len(h.refit.effects) for h in hypotheses]) * np.log(max(tried, 1))
     # Of hypotheses that fit equally well, the one with fewer values is likelier (Schwarz 1978).
@@ -377,6 +380,22 @@ def _gain(before: Array, after: Array) -> Array:
 def _surprise(cost: Array) -> Array:
     """Minus twice the log-likelihood of a sample: Gaussian up to the noise, beyond it with the scale that fits best."""
     return np.where(cost < 1.0, cost, 1.0 + np.log(np.maximum(cost, 1.0)))
+
+
+def _of_forms(hypotheses: Sequence[Hypothesis], costs: Array, worth: float) -> Array:
+    """(d, h) minus twice the log-likelihood that errors of the forms add; costs (d, h) in units of the noise.
+
+    An error that a form may well have is still no noise: it is a smooth curve, whose values at its knots have to be of
+    that size (Kennedy and O'Hagan, Bayesian calibration of computer models, Journal of the Royal Statistical Society B
+    63, 2001, make it a Gaussian process). It tells sets apart that both leave little of much. Beside more effects, or a
+    more general form of the same, it does not count, because what these have more may be such a curve.
+    """
+    each = worth / KNOTS
+    errors = KNOTS * np.log1p(np.maximum(costs - 1.0, 0.0) * each)
+    for general, simple in _forms(hypotheses):
+        errors[:, simple] = np.minimum(errors[:, simple], errors[:, general])
+    sizes = np.array([len(h.refit.effects) for h in hypotheses])
+    return np.column_stack([errors[:, i] - errors[:, sizes <= size].min(axis=1) for i, size in enumerate(sizes)])
 
 
 def _needed(

@@ -26,6 +26,7 @@ from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, base_and
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import tick_points
+from labyrinth_sim.trials import Array
 
 STATED_SHORTLIST = 10  # effects fitted on top of a base as stated, and
 STATED_KEPT = 3  # how many of them go on with all values free
@@ -98,8 +99,11 @@ def refitted_sets(
         best = lowest([best, *more])
         worth = _explains(on, best)
     base, refits = nested_refits(search, base, refits)
-    best = lowest([base, *refits])
-    if best.effects and frozenset(best.effects) not in replaced:
+    for _ in range(most):  # each effect of a set may have been chosen while another was wrong
+        best = lowest([base, *refits])
+        if not best.effects or frozenset(best.effects) in replaced:
+            break
+        replaced.add(frozenset(best.effects))
         refits = best_by_set([*refits, *rival_refits(search, best, refits)])
     refits = best_by_set([*refits, *general_refits(search, refits)])
     base, refits = refined(search, base, refits)
@@ -124,15 +128,27 @@ def _rested(search: Search, base: Refit, allowed: float) -> Refit:
 
 
 def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The base and the refits; those near the best go on at the steps that judge until they rest.
+    """The base and the refits; those near the best go on at the steps that judge until they rest, from their own base
+    values and from the best one's: whatever is missing, the drive is the same.
 
-    So that none is ranked behind another one because its descent was stopped.
+    So that none is ranked behind another one because its descent was stopped, or rests in a valley of its own.
     """
     best = lowest([base, *refits])
     near = [r for r in best_by_set([base, *refits])[:SHORTLIST] if r.cost < NEAR_BEST * max(best.cost, 1.0)]
-    again = search.refit([(search.library.of(r.effects), r.values) for r in near], SETTLED_ROUNDS, "exact")
-    kept = [replace(new, converged=old.converged) for old, new in zip(near, again, strict=True)]
-    return base_and_sets([base, *refits, *kept])
+    again = _gone_on(search, near, [r.values for r in near])
+    near, size = best_by_set([*near, *again]), len(search.library.base)
+    if len(near) > 1:
+        others = [near[1] if r is near[0] else near[0] for r in near]
+        points = [np.concatenate([o.values[:size], r.values[size:]]) for r, o in zip(near, others, strict=True)]
+        again += _gone_on(search, near, points)
+    return base_and_sets([base, *refits, *again])
+
+
+def _gone_on(search: Search, refits: Sequence[Refit], points: Sequence[Array]) -> list[Refit]:
+    """Refits descended again from values (K,) each, at the steps that judge."""
+    jobs = [(search.library.of(r.effects), point) for r, point in zip(refits, points, strict=True)]
+    again = search.refit(jobs, SETTLED_ROUNDS, "exact")
+    return [replace(new, converged=old.converged) for old, new in zip(refits, again, strict=True)]
 
 
 def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
@@ -248,11 +264,13 @@ def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Ref
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
     """The best with each of its effects replaced by another: by its declared rivals, and by effects of other sets that
-    were tried. The base values of the best are kept, because the drive is the same whatever is missing.
+    were tried; each effect of several by any other, because it was chosen while the others were missing. The base
+    values of the best are kept, because the drive is the same whatever is missing.
 
     A set that was tried before is fitted again only if this promises a lower cost than it reached.
     """
     known = {frozenset(r.effects): r.cost for r in tried}
+    several = len(best.effects) > 1
     jobs: list[Job] = []
     for name in best.effects:
         effect, registry = search.library.find(name).effect.name, search.library.model.registry
@@ -260,7 +278,7 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         others, values = without(search, best, name)
         rest = frozenset(other.name for other in others)
         candidates = [c for c in search.library.candidates if c.name not in best.effects
-                      and (c.effect.name in mistaken or rest | {c.name} in known)]  # fmt: skip
+                      and (several or c.effect.name in mistaken or rest | {c.name} in known)]  # fmt: skip
         if not candidates:
             continue
         bare = replace(search.at(values, best), effects=tuple(o.name for o in others))

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tells effects apart that both explain nearly all of a large misfit: an error of a form is a smooth curve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rank_cases import FOLDS, SAMPLES, hypothesis
+
+from eps_tunnel_analysis.diagnose.rank import rank
+
+
+def probabilities(
+    left: dict[tuple[str, ...], float], contains: tuple[str, str] | None = None, misfit: float = 200.0
+) -> dict[str, float]:
+    """Of sets of effects that leave so many floors of `misfit`; the first of `contains` can imitate the second."""
+    folds = np.arange(SAMPLES) * FOLDS // SAMPLES
+    unit = np.repeat(np.random.default_rng(0).standard_normal(SAMPLES // 10), 10)
+    unit /= np.sqrt(np.bincount(folds, unit**2) / np.bincount(folds))[folds]  # no stretch decides by chance
+    sets = [hypothesis(effects, np.sqrt(cost) * unit, free=4) for effects, cost in left.items()]
+    if contains is not None:
+        general, simple = contains
+        sets = [replace(s, contains=(frozenset({simple}),)) if s.refit.effects == (general,) else s for s in sets]
+    base = hypothesis((), np.sqrt(misfit) * unit, free=3)
+    return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), tried=10).probabilities
+
+
+@pytest.mark.parametrize("noise", [0.4, 0.8])
+def test_of_two_that_leave_noise_the_better_one_is_likelier_however_much_the_base_leaves(noise: float) -> None:
+    found = probabilities({("right.x",): noise, ("twin.x",): 1.5 * noise})
+    assert found["right.x"] > 0.95
+    equal = probabilities({("right.x",): noise, ("twin.x",): noise})
+    assert equal["right.x"] == pytest.approx(equal["twin.x"])
+
+
+def test_beyond_that_a_form_s_error_counts_by_its_size_and_not_by_every_sample() -> None:
+    found = probabilities({("right.x",): 3.0, ("twin.x",): 3.6}, misfit=1000.0)
+    assert 0.05 < found["twin.x"] < 0.4
+
+
+def test_what_another_effect_takes_away_may_be_the_first_one_s_form() -> None:
+    found = probabilities({("right.x",): 3.0, ("right.x", "more.x"): 0.9})
+    assert found["right.x"] > 0.9
+
+
+def test_what_a_general_form_takes_away_may_be_the_simple_one_s_form() -> None:
+    left = {("general.x",): 1.5, ("simple.x",): 1.9}
+    assert probabilities(left)["simple.x"] < 0.1
+    assert probabilities(left, ("general.x", "simple.x"))["simple.x"] > 0.4
