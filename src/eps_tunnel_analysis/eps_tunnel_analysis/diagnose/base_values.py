@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
 from eps_tunnel_analysis.diagnose.prescribed import Motions, coupled_with, measured_motions, with_prescribed_motion
@@ -27,6 +28,8 @@ VALLEY_POINTS = 8  # to either side of the best, along the direction that it det
 MORE_DESCENTS = 3  # further descents at most, as long as the last one helped
 GRADUAL = 3e-4  # rad/s, from which friction that sets in gradually is descended
 BASE_FINALISTS = 3  # of the starts, descended to the end
+SLEEPING_POINTS = 8  # from what is stated to a bound, at which a value that does not show is tried
+WOKEN = 2  # of these values that are fitted from there
 
 
 @dataclass(frozen=True)
@@ -185,6 +188,8 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     result = min(search.judged([((), r.values) for r in valleys], BASE_ROUNDS), key=lambda r: r.objective)
     if first and worst_floors(result.residuals, search.signal) > 1.0:
         (result,) = softened(search, [result])
+    if first:
+        result = woken(search, result)
     for number in range(MORE_DESCENTS):
         if worst_floors(result.residuals, search.signal) < 1.0:
             break
@@ -206,6 +211,46 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
             result = search.judged([((), result.values)], BASE_ROUNDS)[0]
     search.settle_at(result)
     return result
+
+
+def woken(search: Search, refit: Refit) -> Refit:
+    """The base with values fitted that do not show near what is stated, but further off, if it leaves more than noise.
+
+    A motor that turns more slowly than is stated limits only the fastest moves, and no slope leads there.
+    """
+    for _ in range(MORE_DESCENTS):
+        sleeping = np.flatnonzero(search.idle)
+        if not len(sleeping) or worst_floors(refit.residuals, search.signal) < 1.0:
+            break
+        search.settle_at(refit)
+        asleep, found = search.idle.copy(), [refit]
+        for column, point in _showing(search, refit, sleeping)[:WOKEN]:
+            search.idle[column] = False
+            found += search.judged([((), point)], BASE_ROUNDS)
+            search.idle = asleep.copy()
+        best = min(found, key=lambda r: r.objective)
+        if best.objective > (1.0 - STANDS) * refit.objective:
+            break
+        search.feel(best)
+        refit = min([best, *search.judged([((), best.values)], BASE_ROUNDS)], key=lambda r: r.objective)
+    return refit
+
+
+def _showing(search: Search, refit: Refit, columns: NDArray[np.int64]) -> list[tuple[int, Array]]:
+    """Columns in which a value shows somewhere within its bounds, and (K,) where that fits best; best first."""
+    shares = np.arange(1, SLEEPING_POINTS + 1)[:, None] / SLEEPING_POINTS
+    found = []
+    for column in map(int, columns):
+        ends = np.array([search.low[column], search.high[column]])
+        points = np.tile(refit.values, (2 * SLEEPING_POINTS, 1))
+        points[:, column] = (refit.values[column] + shares * (ends - refit.values[column])).ravel()
+        there = search.residuals(points)
+        shows = np.mean((there - refit.residuals) ** 2, axis=1) >= SETTINGS.unfelt
+        cost = np.where(shows, np.mean(there**2, axis=1), np.inf)
+        best = int(np.argmin(np.nan_to_num(cost, nan=np.inf)))
+        if shows[best]:
+            found.append((float(cost[best]), column, points[best]))
+    return [(column, point) for _, column, point in sorted(found, key=lambda f: f[:2])]
 
 
 def softened(search: Search, refits: Sequence[Refit]) -> list[Refit]:

@@ -110,7 +110,7 @@ class Search:
         driven = {name.split(".")[1] for name in library.base if name.startswith("drive.")}
         self._finest = FINEST * max(1, len(driven))
         self._valleys: dict[tuple[tuple[str, ...], bytes], tuple[Refit, ...]] = {}
-        self._idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
+        self.idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
         #: (K,) how gradually the model's own dry friction sets in, as long as that stays as stated
         self.sharp = np.zeros(len(self.start), dtype=bool)
         self.sharp[base] = [library.base[column].endswith(f".{SLOW.name}") for column in base]
@@ -236,7 +236,7 @@ class Search:
             points[2 * row : 2 * row + 2, column] += (spread, -spread)
         moved = self.residuals(np.clip(points, self.low, self.high)) - self.residuals(refit.values[None])
         shows = np.nan_to_num(np.mean(moved**2, axis=1), nan=np.inf).reshape(-1, 2).max(axis=1)
-        self._idle[base] = shows < SETTINGS.unfelt
+        self.idle[base] = shows < SETTINGS.unfelt
 
     def refine_at(self, values: Array) -> bool:
         """Halves the steps of the level that judges until the answer at these values (K,) is accurate; whether any was.
@@ -270,7 +270,7 @@ class Search:
         levels = {level: stepped[id(evidence)] for level, evidence in self.levels.items()}
         other = Search(library, levels, scale, self.used, self.progress, exhaustive=self.exhaustive)
         size = len(library.base)
-        for name in ("_idle", "sharp", "difference"):
+        for name in ("idle", "sharp", "difference"):
             getattr(other, name)[:size] = getattr(self, name)[:size]
         other._noise, other.shift, other.evaluations = self._noise, self.shift, self.evaluations
         return other
@@ -278,7 +278,7 @@ class Search:
     def as_stated(self) -> "Search":
         """The same, with the base values fixed for which the model states an expectation."""
         other = copy(self)
-        other._idle = self._idle | (self.firmness > 0.0)
+        other.idle = self.idle | (self.firmness > 0.0)
         return other
 
     def beside_stated(self, refits: Sequence[Refit], rounds: int, level: Level = "coarse") -> list[Array]:
@@ -305,7 +305,7 @@ class Search:
         names = list(self.library.base)
         for name in refit.effects:
             names += self.library.find(name).parameters
-        kept = self._idle | self.sharp
+        kept = self.idle | self.sharp
         return [column for column in (self._column[name] for name in names) if not kept[column]]
 
     def refit(
@@ -330,7 +330,7 @@ class Search:
         for row, (candidates, _) in enumerate(jobs):
             for candidate in candidates:
                 free[row, self.columns(candidate)] = True
-        free &= ~(self._idle | self.sharp)
+        free &= ~(self.idle | self.sharp)
         width = (self.high - self.low) / self.spans
 
         def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
