@@ -11,10 +11,11 @@ from fit_cases import TRUTH, plays, start
 
 from eps_tunnel_analysis.diagnose import sets as sets_module
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.candidates import starts
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
-from eps_tunnel_analysis.diagnose.search import Search
+from eps_tunnel_analysis.diagnose.search import FEW_STARTS, Search
 from eps_tunnel_analysis.diagnose.sets import refitted_sets, rival_refits, settled
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 
@@ -136,8 +137,12 @@ def test_any_effect_may_replace_one_of_several_and_only_a_rival_one_alone(
     looked: set[str] = set()
     monkeypatch.setattr(search, "trial_points", lambda _, candidates: looked.update(c.name for c in candidates) or [])
     rival_refits(search, found(3.0, FRICTION, *others), [])
-    every = {c.name for c in search.library.candidates}
-    assert looked < every - {FRICTION} if not others else looked == every - {FRICTION, TICK}
+    quick = {c.name for c in search.library.candidates if len(starts(c)) <= FEW_STARTS}
+    assert GAIN in quick and WAVES not in quick
+    if others:
+        assert quick - {FRICTION} <= looked
+    else:
+        assert LOAD in looked and GAIN not in looked
 
 
 @pytest.mark.parametrize(

@@ -264,8 +264,8 @@ def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Ref
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
     """The best with each of its effects replaced by another: by its declared rivals, and by effects of other sets that
-    were tried; each effect of several by any other, because it was chosen while the others were missing. The base
-    values of the best are kept, because the drive is the same whatever is missing.
+    were tried; each of several by any other that needs few starts, because it was chosen while the others were missing.
+    The base values of the best are kept, because the drive is the same whatever is missing.
 
     A set that was tried before is fitted again only if this promises a lower cost than it reached.
     """
@@ -278,7 +278,8 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         others, values = without(search, best, name)
         rest = frozenset(other.name for other in others)
         candidates = [c for c in search.library.candidates if c.name not in best.effects
-                      and (several or c.effect.name in mistaken or rest | {c.name} in known)]  # fmt: skip
+                      and ((several and len(starts(c)) <= FEW_STARTS) or c.effect.name in mistaken
+                           or rest | {c.name} in known)]  # fmt: skip
         if not candidates:
             continue
         bare = replace(search.at(values, best), effects=tuple(o.name for o in others))
