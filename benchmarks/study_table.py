@@ -38,6 +38,8 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_compiled": "the same diagnosis, faster",
     "diagnosis_starts": "from 870585 on starts are read rightly; from 870640 on what is left is not drawn at random",
     "diagnosis_shows": "tried: what an effect leaves ends at 9 floors",
+    "diagnosis_curves": "any effect may replace one of several; an error of a form counts as a smooth curve",
+    "diagnosis_woken": "values that show only far from what is stated are fitted there",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {

@@ -219,7 +219,7 @@ def woken(search: Search, refit: Refit) -> Refit:
     A motor that turns more slowly than is stated limits only the fastest moves, and no slope leads there.
     """
     for _ in range(MORE_DESCENTS):
-        sleeping = np.flatnonzero(search.idle)
+        sleeping = np.flatnonzero(search.idle & ~search.sharp)
         if not len(sleeping) or worst_floors(refit.residuals, search.signal) < 1.0:
             break
         search.settle_at(refit)
