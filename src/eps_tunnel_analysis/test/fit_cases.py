@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plays made by a model of known values, on the bare servo horn, which steps fastest."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from bag_files import START, STEP, Header, JointState, Time, write_bag
 
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model, load_model
 from labyrinth_sim.simulate import even_timestep, simulate
@@ -51,6 +54,13 @@ def step(degrees: float, axis: int = 0, samples: int = SAMPLES) -> np.ndarray:
 def plays(degrees=(-4.0, -2.0, 1.0, 3.0, 5.0), truth=TRUTH, axis: int = 0, **options) -> list[Play]:
     model = start().with_values(truth)
     return [Play(f"{d:+g}deg", made_by(model, step(d, axis), seed=i, **options)) for i, d in enumerate(degrees)]
+
+
+def search_on_x(effects: Sequence[str] = ()) -> Search:
+    """Of effects on one axis, for plays that the model itself made."""
+    model, recorded = start().with_values(TRUTH), plays((3.0, -2.0), TRUTH)
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
+    return axis_search(model, recorded, part, SearchOptions(tuple(effects), 1))
 
 
 def bag_of(folder: Path, trials: Trials) -> Path:

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fit_cases import TRUTH, plays, start
+from fit_cases import search_on_x
 
 from eps_tunnel_analysis.diagnose import sets as sets_module
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.candidates import starts
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
@@ -30,9 +29,7 @@ Found = Callable[..., Refit]
 
 @pytest.fixture(scope="module")
 def search() -> Search:
-    model, recorded = start().with_values(TRUTH), plays((3.0, -2.0), TRUTH)
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    return axis_search(model, recorded, part, SearchOptions(EFFECTS, 1))
+    return search_on_x(EFFECTS)
 
 
 @pytest.fixture

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fit_cases import TRUTH, plays, start
+from fit_cases import search_on_x
 from rank_cases import FOLDS, SAMPLES
 from rank_cases import hypothesis as hypothesis_of
 
 from eps_tunnel_analysis.diagnose.axis import hypothesis
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.rank import Hypothesis, rank
 from eps_tunnel_analysis.diagnose.refits import Refit
 
@@ -23,10 +22,7 @@ def leaving(residuals: np.ndarray, effects: tuple[str, ...], free: int, unused: 
 
 @pytest.mark.parametrize(("slow", "unused"), [(0.0, 1), (0.05, 0)])
 def test_friction_that_sets_in_at_once_has_one_value_less(slow: float, unused: int) -> None:
-    recorded = plays((3.0, -2.0), TRUTH)
-    model = start().with_values(TRUTH)
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    search = axis_search(model, recorded, part, SearchOptions(("coulomb_friction",), 1))
+    search = search_on_x(["coulomb_friction"])
     values = search.start.copy()
     values[search.columns(search.library.find("coulomb_friction.x"))] = (0.2, slow)
     bare = Refit((), search.start, np.ones(len(search.used)), 1.0, 5, True)

@@ -3,9 +3,8 @@
 
 import numpy as np
 import pytest
-from fit_cases import TRUTH, plays, start
+from fit_cases import search_on_x
 
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import woken
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.search import Search
@@ -16,9 +15,7 @@ TORQUE, NEEDED = "drive.x.torque", 2.2  # N m, less than which limits the motion
 @pytest.fixture
 def search(monkeypatch: pytest.MonkeyPatch, torque: float) -> Search:
     """Of an axis whose motor gives a torque, in N m; beside noise only what that limits shows."""
-    model, recorded = start().with_values(TRUTH), plays((3.0, -2.0), TRUTH)
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    search = axis_search(model, recorded, part, SearchOptions((), 1))
+    search = search_on_x()
     column, size = search.library.names.index(TORQUE), len(search.used)
     noise, limited = 0.5 * np.random.default_rng(0).standard_normal(size), np.arange(size) % 7 == 0
 
@@ -33,7 +30,8 @@ def search(monkeypatch: pytest.MonkeyPatch, torque: float) -> Search:
 
 @pytest.mark.parametrize("torque", [2.8, 2.0])
 def test_a_torque_that_limits_only_far_from_what_is_stated_is_fitted_there(search: Search, torque: float) -> None:
-    column, stated = search.library.names.index(TORQUE), float(search.start[search.library.names.index(TORQUE)])
+    column = search.library.names.index(TORQUE)
+    stated = search.start[column]
     (base,) = search.judged([((), search.start)], 0)
     search.feel(base)
     assert search.idle[column], "a deviation off it does not show"

@@ -188,7 +188,6 @@ def base_from(search: Search, points: Sequence[Array], first: bool = False) -> R
     result = min(search.judged([((), r.values) for r in valleys], BASE_ROUNDS), key=lambda r: r.objective)
     if first and worst_floors(result.residuals, search.signal) > 1.0:
         (result,) = softened(search, [result])
-    if first:
         result = woken(search, result)
     for number in range(MORE_DESCENTS):
         if worst_floors(result.residuals, search.signal) < 1.0:
@@ -223,11 +222,11 @@ def woken(search: Search, refit: Refit) -> Refit:
         if not len(sleeping) or worst_floors(refit.residuals, search.signal) < 1.0:
             break
         search.settle_at(refit)
-        asleep, found = search.idle.copy(), [refit]
+        found = [refit]
         for column, point in _showing(search, refit, sleeping)[:WOKEN]:
             search.idle[column] = False
             found += search.judged([((), point)], BASE_ROUNDS)
-            search.idle = asleep.copy()
+            search.idle[column] = True
         best = min(found, key=lambda r: r.objective)
         if best.objective > (1.0 - STANDS) * refit.objective:
             break
@@ -238,19 +237,23 @@ def woken(search: Search, refit: Refit) -> Refit:
 
 def _showing(search: Search, refit: Refit, columns: NDArray[np.int64]) -> list[tuple[int, Array]]:
     """Columns in which a value shows somewhere within its bounds, and (K,) where that fits best; best first."""
-    shares = np.arange(1, SLEEPING_POINTS + 1)[:, None] / SLEEPING_POINTS
-    found = []
-    for column in map(int, columns):
-        ends = np.array([search.low[column], search.high[column]])
-        points = np.tile(refit.values, (2 * SLEEPING_POINTS, 1))
-        points[:, column] = (refit.values[column] + shares * (ends - refit.values[column])).ravel()
-        there = search.residuals(points)
-        shows = np.mean((there - refit.residuals) ** 2, axis=1) >= SETTINGS.unfelt
-        cost = np.where(shows, np.mean(there**2, axis=1), np.inf)
-        best = int(np.argmin(np.nan_to_num(cost, nan=np.inf)))
-        if shows[best]:
-            found.append((float(cost[best]), column, points[best]))
-    return [(column, point) for _, column, point in sorted(found, key=lambda f: f[:2])]
+    shares = np.arange(1, SLEEPING_POINTS + 1) / SLEEPING_POINTS
+    ways = [(column, end) for column in columns for end in (search.low[column], search.high[column])
+            if end != refit.values[column]]  # fmt: skip
+    if not ways:
+        return []
+    moved = np.repeat([column for column, _ in ways], SLEEPING_POINTS)
+    points = np.tile(refit.values, (len(moved), 1))
+    points[np.arange(len(moved)), moved] = np.ravel(
+        [refit.values[column] + shares * (end - refit.values[column]) for column, end in ways]
+    )
+    there = search.residuals(points)
+    shows = np.mean((there - refit.residuals) ** 2, axis=1) >= SETTINGS.unfelt
+    found: dict[int, Array] = {}
+    for row in np.argsort(np.mean(there**2, axis=1), kind="stable"):
+        if shows[row]:
+            found.setdefault(int(moved[row]), points[row])
+    return list(found.items())
 
 
 def softened(search: Search, refits: Sequence[Refit]) -> list[Refit]:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, base_starts, better_base, softened
-from eps_tunnel_analysis.diagnose.candidates import starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.contained import (
     NEAR_BEST,
     ROUNDS,
@@ -136,12 +136,17 @@ def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     best = lowest([base, *refits])
     near = [r for r in best_by_set([base, *refits])[:SHORTLIST] if r.cost < NEAR_BEST * max(best.cost, 1.0)]
     again = _gone_on(search, near, [r.values for r in near])
-    near, size = best_by_set([*near, *again]), len(search.library.base)
+    near = best_by_set([*near, *again])
     if len(near) > 1:
         others = [near[1] if r is near[0] else near[0] for r in near]
-        points = [np.concatenate([o.values[:size], r.values[size:]]) for r, o in zip(near, others, strict=True)]
-        again += _gone_on(search, near, points)
+        again += _gone_on(search, near, [_with_drive_of(search, *pair) for pair in zip(others, near, strict=True)])
     return base_and_sets([base, *refits, *again])
+
+
+def _with_drive_of(search: Search, other: Refit, refit: Refit) -> Array:
+    """(K,) values of a refit, but with another one's base values."""
+    size = len(search.library.base)
+    return np.concatenate([other.values[:size], refit.values[size:]])
 
 
 def _gone_on(search: Search, refits: Sequence[Refit], points: Sequence[Array]) -> list[Refit]:
@@ -196,11 +201,16 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
     firm = search.as_stated()
     start = np.where(search.firmness > 0.0, search.start, base.values)
     (stated,) = firm.refit([((), start)], ROUNDS)
-    quick = [c for c in search.library.candidates if len(starts(c)) <= FEW_STARTS]
+    quick = [c for c in search.library.candidates if _quick(c)]
     tried = firm.trial_points([stated], quick)
     refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS, race=np.inf))
     search.evaluations = firm.evaluations
     return [(search.library.of(r.effects), r.values) for r in refits[:STATED_KEPT]]
+
+
+def _quick(candidate: Candidate) -> bool:
+    """Whether a candidate needs few starts, so that it costs little to try it again."""
+    return len(starts(candidate)) <= FEW_STARTS
 
 
 def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], shortlist: float) -> list[Job]:
@@ -240,7 +250,7 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
         jobs += [(search.library.of(refit.effects), point) for point in points]
     again = best_by_set([*refits, *(search.best_of(jobs, ROUNDS) if jobs else [])])
     near = [r for r in again[1:] if size and r.cost < NEAR_BEST * again[0].cost]
-    beside = [np.concatenate([again[0].values[:size], r.values[size:]]) for r in near]
+    beside = [_with_drive_of(search, again[0], r) for r in near]
     named = [search.library.of(r.effects) for r in near]
     return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
 
@@ -278,8 +288,8 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         others, values = without(search, best, name)
         rest = frozenset(other.name for other in others)
         candidates = [c for c in search.library.candidates if c.name not in best.effects
-                      and ((several and len(starts(c)) <= FEW_STARTS) or c.effect.name in mistaken
-                           or rest | {c.name} in known)]  # fmt: skip
+                      and (c.effect.name in mistaken or rest | {c.name} in known
+                           or (several and _quick(c)))]  # fmt: skip
         if not candidates:
             continue
         bare = replace(search.at(values, best), effects=tuple(o.name for o in others))
