@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from eps_tunnel_analysis.nodes.answers import Meeting
 from eps_tunnel_analysis.nodes.rig_processes import executable
 from eps_tunnel_analysis.processes import Processes
 
@@ -67,6 +69,13 @@ class Workplace:
         """What a future ends with."""
         self.until(future.done)
         return future.result()
+
+    def action(self, kind: Any, name: str) -> Any:
+        """A client of an action, once its server and it have found each other."""
+        client: Any = ActionClient(self.node, kind, name)
+        meeting = Meeting(self.node, name)
+        self.until(lambda: client.server_is_ready() and meeting.done())
+        return client
 
     def call(self, client: Any, request: Any) -> Any:
         """A service's answer."""

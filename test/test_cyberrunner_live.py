@@ -14,7 +14,6 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from nodes_under_test import Workplace, workplace
-from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 
 from eps_tunnel_analysis.cli.main import main
@@ -67,8 +66,7 @@ def test_the_whole_loop_from_the_bus_to_the_named_effect(place: Workplace, tmp_p
     balls: list[BallState] = []
     place.node.create_subscription(JointState, "/real/board_states", tilts.append, 100)
     place.node.create_subscription(BallState, "/real/ball", balls.append, 100)
-    client = ActionClient(place.node, PlaySequence, "/play_sequence")
-    place.until(client.server_is_ready)
+    client = place.action(PlaySequence, "/play_sequence")
     place.until(lambda: len(tilts) > 20)  # the camera sees the board
     place.until(lambda: any(ball.visible for ball in balls))  # and the blue marble on it
     goal = PlaySequence.Goal(

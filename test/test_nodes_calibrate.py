@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from action_msgs.msg import GoalStatus
 from nodes_under_test import Workplace, from_home, workplace
-from rclpy.action import ActionClient
 
 from eps_tunnel_analysis.sequence_file import parse_sequence
 from labyrinth_hw.testbed.bags import write_bag
@@ -48,8 +47,7 @@ def place(tmp_path_factory: pytest.TempPathFactory, module_domain: int) -> Itera
 
 def sent(place: Workplace, told: list[Calibrate.Feedback], **goal: Any) -> Any:
     """The handle of a goal for the bag."""
-    client = ActionClient(place.node, Calibrate, "/calibrate")
-    place.until(client.server_is_ready)
+    client = place.action(Calibrate, "/calibrate")
     asked = Calibrate.Goal(bags=[from_home(place.folder / "bag")], model="labyrinth_manual", **goal)
     return place.result(client.send_goal_async(asked, feedback_callback=lambda message: told.append(message.feedback)))
 

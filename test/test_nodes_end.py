@@ -23,8 +23,9 @@ from nodes_under_test import PATIENCE, Workplace, free_port, workplace
 from rcl_interfaces.srv import GetParameters
 from reference_page import nodes
 
+from eps_tunnel_analysis.nodes.answers import Repeated
+
 pytestmark = pytest.mark.realtime
-ASK_AGAIN = 5.0  # s
 SOON = 2.0  # s from the signal to the end of the process, as docs/howto/namespaces_and_clocks.md promises
 WAITING: dict[str, object] = {"sequence": "paper_8s", "connect_timeout": 600.0}
 STARTED: dict[tuple[str, str], dict[str, object]] = {
@@ -63,14 +64,7 @@ def until_it_answers(place: Workplace, name: str) -> None:
     """
     client = place.node.create_client(GetParameters, f"/{name}/get_parameters")
     place.until(client.service_is_ready)
-    asked: list[Any] = []
-
-    def answered() -> bool:
-        if not asked or time.monotonic() > asked[-1][0] + ASK_AGAIN:
-            asked.append((time.monotonic(), client.call_async(GetParameters.Request())))
-        return any(future.done() for _, future in asked)
-
-    place.until(answered)
+    place.until(Repeated(client, GetParameters.Request()).done)
 
 
 def test_no_node_is_forgotten() -> None:

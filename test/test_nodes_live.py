@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nodes_under_test import Workplace, from_home, workplace
-from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from short_sequence import SHORTER
@@ -175,8 +174,7 @@ def test_a_reference_that_is_no_bag_is_refused(place: Workplace) -> None:
 
 def test_a_diagnosis_is_made_on_request_and_told_to_whoever_comes_later(place: Workplace) -> None:
     place.start("eps_tunnel_analysis", "analysis_node")
-    client = ActionClient(place.node, Diagnose, "/diagnose")
-    place.until(client.server_is_ready)
+    client = place.action(Diagnose, "/diagnose")
     stages: list[str] = []
 
     def asked(**given: object) -> Diagnose.Result:

@@ -14,7 +14,6 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from nodes_under_test import Workplace, workplace
-from rclpy.action import ActionClient
 
 from eps_tunnel_analysis.compare import compare
 from eps_tunnel_analysis.nodes.rig_processes import executable
@@ -48,8 +47,7 @@ class TwoRigs(Workplace):
             self.put(space, "labyrinth_sim", "sim_node", "other", model=model, **noisy)
             self.put(space, "eps_tunnel_analysis", "analysis_node", "analysis_node")
             self.put(space, "eps_tunnel_analysis", "player", "player", rate=50.0, **patience)
-        self.clients = {space: ActionClient(self.node, PlaySequence, f"/{space}/play_sequence") for space in RIGS}
-        self.until(lambda: all(client.server_is_ready() for client in self.clients.values()))
+        self.clients = {space: self.action(PlaySequence, f"/{space}/play_sequence") for space in RIGS}
 
     def put(self, space: str, package: str, name: str, called: str, **parameters: object) -> None:
         given = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]

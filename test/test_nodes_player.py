@@ -20,7 +20,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from action_msgs.msg import GoalStatus
 from nodes_under_test import Workplace, workplace
-from rclpy.action import ActionClient
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
@@ -58,7 +57,6 @@ class Rigs(Workplace):
         self.commands: dict[str, list[JointState]] = {"real": [], "sim": []}
         self.node.create_subscription(Srg, "/srg", self.srg.append, 10)
         self.node.create_subscription(TunnelSample, "/srg/tunnel", self.samples.append, 1000)
-        self.client = ActionClient(self.node, PlaySequence, "/play_sequence")
         self.sequence = self.folder / "short.yaml"
         self.sequence.write_text(SEQUENCE, encoding="utf-8")
         self.start("labyrinth_sim", "sim_node", "sim_node", model="labyrinth_manual")
@@ -68,7 +66,7 @@ class Rigs(Workplace):
         # Other work on this machine may hold a node up; a rig that is gone is silent for good.
         patience = {"silence_timeout": 20.0, "connect_timeout": 60.0, "rest_timeout": 60.0, "stall_timeout": 0.4}
         self.start("eps_tunnel_analysis", "player", **patience)
-        self.until(self.client.server_is_ready)
+        self.client = self.action(PlaySequence, "/play_sequence")
 
     def send(self, feedback: list[PlaySequence.Feedback] | None = None, **goal: Any) -> Any:
         """Sends a goal and returns its handle."""

@@ -14,7 +14,6 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from nodes_under_test import Workplace, workplace
-from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rosgraph_msgs.msg import Clock
@@ -65,8 +64,7 @@ class Simulation(Workplace):
     def play(self) -> PlaySequence.Result:
         sequence = self.folder / "short.yaml"
         sequence.write_text(SEQUENCE, encoding="utf-8")
-        client = ActionClient(self.node, PlaySequence, "/play_sequence")
-        self.until(client.server_is_ready)
+        client = self.action(PlaySequence, "/play_sequence")
         goal = PlaySequence.Goal(sequence=str(sequence), record=True, folder=str(self.folder / "bags"))
         handle = self.result(client.send_goal_async(goal))
         return self.result(handle.get_result_async()).result

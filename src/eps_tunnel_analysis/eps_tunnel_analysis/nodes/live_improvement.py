@@ -20,6 +20,7 @@ from eps_tunnel_analysis.diagnose.progress import RolloutProgress
 from eps_tunnel_analysis.loop.experimenter import Ending, Experimenter, Plan, judged
 from eps_tunnel_analysis.loop.gap import Bags, RigFailed
 from eps_tunnel_analysis.loop.notebook import Notebook
+from eps_tunnel_analysis.nodes.answers import Meeting, Repeated
 from eps_tunnel_analysis.nodes.messages import diagnosis_message, latched
 from eps_tunnel_analysis.nodes.play import Progress, ProgressBar
 from eps_tunnel_analysis.nodes.rig_processes import EmulatedRig, hidden_in, hidden_in_words, rig_processes
@@ -46,6 +47,7 @@ class RigClient:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("eps_tunnel")
         self._player = ActionClient(self._node, PlaySequence, "play_sequence")
+        self._meeting = Meeting(self._node, "play_sequence")
         self._loader = self._node.create_client(LoadModel, "sim/load_model")
         self._limits = self._node.create_client(GetParameters, "player/get_parameters")
         self._verdicts = self._node.create_publisher(Diagnosis, "srg/diagnosis", latched())
@@ -56,7 +58,7 @@ class RigClient:
         Raises:
             RigFailed: with the player's message.
         """
-        self._appear(self._player.server_is_ready, "the player (/play_sequence)")
+        self._appear(lambda: self._player.server_is_ready() and self._meeting.done(), "the player (/play_sequence)")
         goal = PlaySequence.Goal(sequence=sequence, trials=trials, record=True, folder=str(folder.resolve()))
         with ProgressBar() as bar:
 
@@ -83,14 +85,14 @@ class RigClient:
     def load(self, model: Path) -> None:
         """Loads a model file into the running simulation. Raises RigFailed with the simulation's message."""
         self._appear(self._loader.service_is_ready, "the simulation (/sim/load_model)")
-        answer = self._await(self._loader.call_async(LoadModel.Request(model=str(model.resolve()))))
+        answer = self._await(Repeated(self._loader, LoadModel.Request(model=str(model.resolve()))))
         if not answer.success:
             raise RigFailed(answer.message)
 
     def limit(self) -> float:
         """The largest angle, rad, that the player lets a sequence command."""
         self._appear(self._limits.service_is_ready, "the player (/player/get_parameters)")
-        answer = self._await(self._limits.call_async(GetParameters.Request(names=["limit_deg"])))
+        answer = self._await(Repeated(self._limits, GetParameters.Request(names=["limit_deg"])))
         return math.radians(answer.values[0].double_value)
 
     def publish(self, content: Mapping[str, Any], report: Path) -> None:
@@ -109,11 +111,11 @@ class RigClient:
                 )
             rclpy.spin_once(self._node, timeout_sec=0.1)
 
-    def _await(self, future: Any) -> Any:
-        while not future.done():
-            rclpy.spin_until_future_complete(self._node, future, timeout_sec=0.5)
+    def _await(self, answer: Any) -> Any:
+        while not answer.done():
+            rclpy.spin_once(self._node, timeout_sec=0.5)
             self._watch()
-        return future.result()
+        return answer.result()
 
     def __enter__(self) -> "RigClient":
         return self
