@@ -51,9 +51,13 @@ def step(degrees: float, axis: int = 0, samples: int = SAMPLES) -> np.ndarray:
     return commands
 
 
-def plays(degrees=(-4.0, -2.0, 1.0, 3.0, 5.0), truth=TRUTH, axis: int = 0, **options) -> list[Play]:
+def plays(
+    degrees=(-4.0, -2.0, 1.0, 3.0, 5.0), truth=TRUTH, axis: int = 0, samples: int = SAMPLES, **options
+) -> list[Play]:
     model = start().with_values(truth)
-    return [Play(f"{d:+g}deg", made_by(model, step(d, axis), seed=i, **options)) for i, d in enumerate(degrees)]
+    return [
+        Play(f"{d:+g}deg", made_by(model, step(d, axis, samples), seed=i, **options)) for i, d in enumerate(degrees)
+    ]
 
 
 def search_on_x(effects: Sequence[str] = ()) -> Search:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Candidates: which there are, and from which values they are sought."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ import yaml
 from fit_cases import plays
 from small_recordings import write_rig
 
-from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
-from eps_tunnel_analysis.diagnose.candidates import library, starts
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.candidates import Candidate, library, starts
 from eps_tunnel_analysis.diagnose.ticks import MOST_TICKS, PART_OF_A_TICK, every_tick
+from eps_tunnel_analysis.stamped import Series
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
 
@@ -95,6 +97,26 @@ def test_candidates_of_a_sliding_axis_start_within_the_bounds_of_its_size(tmp_pa
         for column, name in enumerate(candidate.parameters):
             values = starts(candidate)[:, column]
             assert (values >= infos[name].low).all() and (values <= infos[name].high).all(), name
+
+
+def test_ticks_that_readings_contradict_are_no_candidate() -> None:
+    model, (recorded,) = load_model("labyrinth_manual"), plays((5.0,))
+    part = next(p for p in axis_parts(model, [recorded]) if p.name == "x")
+
+    def offered(tick: float) -> list[Candidate]:
+        read = [replace(t, signals={n: rounded(s, tick) for n, s in t.signals.items()}) for t in recorded.at_stamps]
+        stamped = replace(recorded, stamped=tuple(read))
+        search = axis_search(model, [stamped], part, SearchOptions(("sensor_quantisation.motor_x",), nthread=1))
+        for candidate in search.library.candidates:
+            (column, *_) = search.columns(candidate)
+            assert starts(candidate)[:, 0].max() <= search.high[column] == pytest.approx(tick)
+        return list(search.library.candidates)
+
+    def rounded(series: Series, tick: float) -> Series:
+        return replace(series, values=tick * np.round(series.values / tick)) if tick else series
+
+    assert not offered(0.0), "readings that differ by anything are no whole ticks"
+    assert [c.name for c in offered(0.008)] == ["sensor_quantisation.motor_x"]
 
 
 def test_an_effect_in_the_model_is_no_candidate() -> None:

@@ -6,9 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fit_cases import plays
+from scipy.signal import lfilter
 
-from eps_tunnel_analysis.diagnose.noise import SignalNoise, resolution, signal_noise
+from eps_tunnel_analysis.diagnose.evidence import play_evidence
+from eps_tunnel_analysis.diagnose.noise import SignalNoise, largest_tick, resolution, signal_noise
 from eps_tunnel_analysis.stamped import Readings, Series, readings
+from labyrinth_sim.model import load_model
 
 STEP, SECONDS, WIDTH = 0.0025, 10.0, 0.01
 COUNT = round(SECONDS / STEP) + 1
@@ -182,3 +186,54 @@ def test_the_ticks_of_a_slow_quiet_signal_are_found_and_a_constant_speed_has_non
     assert resolution([np.round(slow, 9)] * 3) == pytest.approx(tick, rel=1e-3)
     assert resolution([0.03 * time]) == 0.0
     assert resolution([0.5 + np.where(np.arange(1000) % 7 == 0, 1e-16, 0.0)]) == 0.0
+
+
+def test_readings_of_whole_ticks_are_never_closer_than_one() -> None:
+    rng = np.random.default_rng(5)
+    seen = 0.2 * np.sin(np.arange(0, 4, 0.01)) + 0.003 * rng.standard_normal(400)
+    ticks = 0.01 * np.round(seen / 0.01)
+    assert largest_tick([ticks]) == pytest.approx(0.01)
+    assert largest_tick([ticks, ticks + 0.0037]) == pytest.approx(0.01), "trials may have different zeros"
+    assert largest_tick([ticks + 1e-12 * rng.standard_normal(400)]) == pytest.approx(0.01, rel=1e-6)
+    assert largest_tick([seen]) < 0.002
+    assert largest_tick([ticks, seen]) < 0.002
+    assert largest_tick([np.full(9, 0.3), np.full(9, np.nan)]) == np.inf
+
+
+def wander(time: Array, rng: np.random.Generator) -> Array:
+    """What moves a rig at rest: 3 SIGMA that last a tenth of a second."""
+    keep = np.exp(-WIDTH / 0.1)
+    moved = lfilter([1.0], [1.0, -2.0 * keep, keep**2], rng.standard_normal(len(time)))
+    return np.asarray(3.0 * SIGMA * moved / np.std(moved))
+
+
+def restless(time: Array, rng: np.random.Generator) -> Array:
+    return wander(time, rng) + SIGMA * rng.standard_normal(len(time))
+
+
+def test_a_single_trial_shows_at_rest_how_well_it_repeats() -> None:
+    given = bins_of(1, 7, restless)
+    rests = np.ones(len(given[0].time), dtype=bool)
+    assert middle(signal_noise(*given, WIDTH)) == pytest.approx(SIGMA, rel=0.2)
+    assert 1.5 * SIGMA < middle(signal_noise(*given, WIDTH, still=rests)) < 3.5 * SIGMA, "at least, of 3.2"
+    moving = np.arange(len(rests)) > 250  # settles for a while, and rests too shortly for several looks
+    assert middle(signal_noise(*given, WIDTH, still=~moving)) == pytest.approx(SIGMA, rel=0.2)
+    quiet = bins_of(1, 7, lambda time, rng: 0.05 * np.exp(-time / 3.0) + SIGMA * rng.standard_normal(len(time)))
+    assert middle(signal_noise(*quiet, WIDTH, still=rests)) == pytest.approx(SIGMA, rel=0.2)
+    several = bins_of(3, 7, restless)
+    assert middle(signal_noise(*several, WIDTH, still=rests)) == middle(signal_noise(*several, WIDTH))
+
+
+def test_what_moves_long_after_a_command_is_noise_and_what_follows_one_is_not() -> None:
+    model = load_model("labyrinth")
+    (rested,) = plays((3.0,), samples=801, trials=1)
+    values = rested.trials.values.copy()
+    values[0, :, rested.trials.index("motor_x")] += wander(rested.trials.time, np.random.default_rng(3))
+
+    def floor(turns: float) -> float:
+        commands = rested.trials.commands.copy()
+        commands[0, :, 1] = 0.01 * np.sign(np.sin(2.0 * np.pi * rested.trials.time * turns))
+        play = replace(rested, trials=replace(rested.trials, values=values, commands=commands))
+        return middle(play_evidence(model, play, ("motor_x",)).noise[0])
+
+    assert floor(0.0) > 2.0 * floor(1.5)

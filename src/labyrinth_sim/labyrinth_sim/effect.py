@@ -220,7 +220,8 @@ class Effect:
         tables: what a compiled `step` or `error` reads beside its values, see `labyrinth_sim.law.row_of`.
         steps_with: the parameter at whose 0 `step` or `error` has nothing to do, "" if it always has.
         measure: makes the filter of a signal.
-        undo: the true value (nsim,) behind a measured one, where a roll-out must not start from what is seen.
+        undo: the true value (nsim,) behind a measured one, from which a roll-out starts: a joint that stiction holds
+            would keep a wrong start for long.
     """
 
     name: str

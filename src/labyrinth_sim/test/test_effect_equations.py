@@ -528,6 +528,19 @@ def test_sensor_gain(model_of: ModelOf) -> None:
     assert play(model, TIME, a_speed=0.5)["a"] == pytest.approx(1.2 * 0.5 * TIME, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("sensor_bias", {"bias": -0.03}),
+        ("sensor_gain", {"gain": 1.2}),
+        ("curve_sensor", {**{f"k{i + 1}": 0.02 * i - 0.09 for i in range(10)}, "centre": 0.4, "half": 0.9}),
+    ],
+)
+def test_a_roll_out_starts_where_its_sensor_shows_it(model_of: ModelOf, effect: str, values: dict[str, float]) -> None:
+    model = model_of("horn").with_effect(effect, "a", values)
+    assert play(model, TIME, a=0.3)["a"] == pytest.approx(0.3, abs=1e-6)
+
+
 @checks("sensor_delay", "angle'(t) = angle(t - T)")
 @pytest.mark.parametrize("delay", [0.003, 0.0085, 0.02])
 def test_sensor_delay(model_of: ModelOf, delay: float) -> None:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, part_name, values_of
-from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, library
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_tick, library
 from eps_tunnel_analysis.diagnose.evidence import Evidence, PlayEvidence, play_evidence
+from eps_tunnel_analysis.diagnose.noise import largest_tick
 from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Level, Search
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, full_name
@@ -194,6 +195,7 @@ def axis_search(model: Model, plays: Sequence[Play], part: AxisPart, run: Search
     own = tuple(c for c in whole.candidates if c.axes and set(c.axes) <= set(part.axes))
     if prescribed(model):  # how the other joints are driven is not in it
         own = tuple(c for c in own if not c.effect.couples)
+    own = tuple(c for c in (_as_read(c, plays) for c in own) if c.possible)
     own = _once(own, part.axes, run.only or ())
     if ball:
         own = tuple(replace(c, axes=()) for c in whole.candidates if on_ball(c.effect))
@@ -201,6 +203,14 @@ def axis_search(model: Model, plays: Sequence[Play], part: AxisPart, run: Search
         if candidate.name not in [c.name for c in own]:
             whole = replace(whole, model=whole.model.without_effect(candidate.effect.name, candidate.place))
     return search_of(Library(whole.model, part.base, own, part.rough), plays, part, run)
+
+
+def _as_read(candidate: Candidate, plays: Sequence[Play]) -> Candidate:
+    """A sensor's ticks no coarser than its readings, which are whole ticks, have them; other effects as they are."""
+    if candidate.effect.where != "signal" or not is_tick(candidate):
+        return candidate
+    read = [t.signals[candidate.place].values for p in plays for t in p.stamped if candidate.place in t.signals]
+    return replace(candidate, coarsest=largest_tick(read))
 
 
 def _once(candidates: Sequence[Candidate], axes: tuple[str, ...], asked: Sequence[str]) -> tuple[Candidate, ...]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eps_tunnel_analysis.diagnose.noise import TICK_SHARE
 from eps_tunnel_analysis.fit.problem import full_name
 from labyrinth_sim.effect import Effect, Parameter, Size
 from labyrinth_sim.errors import InputError, unknown_name
@@ -39,6 +40,7 @@ class Candidate:
         given: its other parameters by short name, such as the range of a curve.
         size: of the axis, with which its parameters' bounds and typical values scale.
         register: the tick of the goals or the sensor at its place, from a data sheet; 0 if that is unknown.
+        coarsest: the coarsest tick that a sensor's readings allow.
     """
 
     effect: Effect
@@ -48,11 +50,27 @@ class Candidate:
     given: Mapping[str, float] = field(default_factory=dict)
     size: Size = field(default_factory=Size)
     register: float = 0.0
+    coarsest: float = np.inf
 
     @property
     def declared(self) -> tuple[Parameter, ...]:
         """Declarations of the fitted parameters, for an axis of this size."""
-        return tuple(p.sized(self.size) for p in self.effect.parameters if p.fitted)
+        sized = tuple(p.sized(self.size) for p in self.effect.parameters if p.fitted)
+        if not np.isfinite(self.coarsest):
+            return sized
+        tick = sized[0]
+        most = min(tick.high, self.coarsest)
+        return (replace(tick, high=most, typical=min(tick.typical, most)), *sized[1:])
+
+    @property
+    def possible(self) -> bool:
+        """Whether readings allow a tick that could be missing: one coarser than the register's, and not too fine."""
+        return np.isinf(self.coarsest) or self.coarsest >= max(TICK_SHARE * self.register, self.finest)
+
+    @property
+    def finest(self) -> float:
+        """The finest tick that is tried, in its unit."""
+        return FINEST_TICK * self.effect.parameters[0].sized(self.size).typical
 
     @property
     def name(self) -> str:
@@ -80,6 +98,11 @@ class Library:
     def names(self) -> tuple[str, ...]:
         """K full parameter names: base first, then every candidate's."""
         return self.base + tuple(name for c in self.candidates for name in c.parameters)
+
+    @property
+    def highest(self) -> Array:
+        """(K,) what the values may be at most: a sensor's readings may allow less than its effect does."""
+        return np.array([np.inf for _ in self.base] + [p.high for c in self.candidates for p in c.declared])
 
     def find(self, name: str) -> Candidate:
         """A candidate by effect.place. Raises InputError that lists the valid names."""
@@ -190,7 +213,7 @@ def starts(candidate: Candidate) -> Array:
         return np.array([[p.off or 0.0 for p in declared]])
     if is_tick(candidate):  # rounding fits at one value and hardly next to it
         rows = roundings(declared)
-        finest, coarsest = FINEST_TICK * declared[0].typical, COARSEST_TICK * declared[0].high
+        finest, coarsest = candidate.finest, COARSEST_TICK * declared[0].high
         tried = np.geomspace(finest, coarsest, round(np.log(coarsest / finest) / np.log(TICKS_APART)) + 1)
         if candidate.register > 0.0:  # a register that lacks bits has whole multiples of its tick
             most = min(int(coarsest / candidate.register), MULTIPLES)

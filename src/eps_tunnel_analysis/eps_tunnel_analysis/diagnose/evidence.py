@@ -26,6 +26,7 @@ from labyrinth_sim.simulate import simulate_batch
 from labyrinth_sim.trials import Array
 
 LONGER = 0.05  # share by which a step may be longer than asked for
+STILL = 0.5  # s after a command, from which on a rig counts as at rest
 NARROWEST = 0.005  # s, of a bin; faster motion falls into one bin
 
 
@@ -60,8 +61,19 @@ def play_evidence(model: Model, play: Play, signals: Sequence[str]) -> PlayEvide
     for name in signals:
         bins = readings([t.signals[name] for t in trials], seconds, width, int(seconds / width) + 2, width)
         raw = [t.signals[name].values for t in trials]
-        noise.append(signal_noise(bins, raw, width, resolution.get(name, 0.0), SETTINGS.tolerance, SETTINGS.timing))
+        known = resolution.get(name, 0.0), SETTINGS.tolerance, SETTINGS.timing
+        noise.append(signal_noise(bins, raw, width, *known, _still(trials[0], bins.time)))
     return PlayEvidence(play, trials, seconds, width, tuple(noise))
+
+
+def _still(trial: StampedTrial, time: Array) -> NDArray[np.bool_]:
+    """(b,) whether no command of a trial has changed for STILL before these times (b,) s."""
+    still = time >= STILL
+    for command in trial.commands.values():
+        changed = command.time[1:][np.diff(command.values) != 0.0]  # from or to NaN, switched off, too
+        last = np.concatenate([[-np.inf], changed])[np.searchsorted(changed, time, side="right")]
+        still &= time - last >= STILL
+    return np.asarray(still)
 
 
 class Evidence:

@@ -5,12 +5,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from eps_tunnel_analysis.stamped import Readings
 from labyrinth_sim.trials import Array, locked
 
 DRIFT = 0.3  # s over which deviations of trials are pooled to see them drift
+REST = 1.0  # s, of a stretch of rest
+RESTS = 4  # such stretches at least
+BENT = 2  # degree of the parabola that is taken off each
 CHANCE = 1.5
 TICK_SHARE = 1.1  # of a known tick: how accurately the one in the samples is found
 MEDIAN = 0.6745  # of the size of a Gaussian of deviation 1
@@ -19,6 +23,7 @@ HARMONICS = 5  # of a sensor's ticks
 INDEPENDENT = 2.0 / 3.0  # share of changes from bin to bin that are independent, for white noise
 LEAST_FREEDOM = 6.0  # degrees of freedom of a variance at least
 TOO_FINE = 1e-3  # of the usual change: finer ticks are not looked for
+SAME_READING = 1e-6  # of the range: readings that differ by less differ by the numbers' own rounding
 WHOLE = 0.9  # share of a quantised signal's changes that are multiples of its tick
 
 
@@ -54,6 +59,7 @@ def signal_noise(
     known_tick: float = 0.0,
     tolerance: float = 0.0,
     timing: float = 0.0,
+    still: NDArray[np.bool_] | None = None,
 ) -> SignalNoise:
     """Noise of one signal of one play.
 
@@ -65,6 +71,8 @@ def signal_noise(
             sensor but something that a model may lack, so it is not counted.
         tolerance: share of the motion's root mean square that does not matter.
         timing: s, by how much one trial may be early or late.
+        still: (b,) bins in which nothing has been commanded for long; what moves there moves by itself, which shows how
+            well a single trial would repeat, at least. None if that is unknown.
     """
     trials, samples = bins.single.shape[0], bins.counts.sum(axis=0)
     # A bin with samples of only one trial says nothing about repeatability.
@@ -85,6 +93,8 @@ def signal_noise(
     window = max(1, round(DRIFT / width))
     around: float | Array = white  # an effort, say, is noisier in motion than at rest
     slow: float | Array = 0.0
+    if not repeats and still is not None:
+        slow = max(_unrest(bins.single[0], still, round(REST / width)) - CHANCE * white, 0.0)
     if repeats:
         # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
         inside = _sum(freedom, window)
@@ -143,6 +153,21 @@ def _roughness(values: Array) -> float:
     return float(np.median(bends) / MEDIAN) ** 2 / BENDS if len(bends) else 0.0
 
 
+def _unrest(values: Array, still: NDArray[np.bool_], window: int) -> float:
+    """Variance of a signal (b,) within stretches of `still` bins (b,) that are a window long, about parabolas, which
+    take what still settles; the median of the stretches, 0 if there are fewer than RESTS.
+    """
+    here = still & np.isfinite(values)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
+    starts = [s for low, high in edges.reshape(-1, 2) for s in range(low, high - window + 1, window)]
+    if len(starts) < RESTS or window <= BENT + 1:
+        return 0.0
+    stretches = np.array([values[s : s + window] for s in starts])
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, window), BENT + 1))[0]
+    left = stretches - stretches @ basis @ basis.T
+    return float(np.median(np.sum(left**2, axis=1))) / (window - BENT - 1)
+
+
 def _slope(bins: Readings) -> Array:
     """(b,) by how much the mean changes in a second."""
     return np.gradient(bins.mean, bins.time) if len(bins.time) > 1 else np.zeros(len(bins.time))
@@ -188,6 +213,22 @@ def resolution(trials: Sequence[Array], share: float = 0.2) -> float:
     # The commonest change may be the motion in a sample; a tick is what all changes are multiples of.
     least = float(changes[changes > 1e-6 * top].min())
     return least if least > TOO_FINE * top and _whole(changes, least) > WHOLE else 0.0
+
+
+def largest_tick(trials: Sequence[Array]) -> float:
+    """The coarsest tick that a sensor of whole ticks can have: two of its readings are never closer together.
+
+    Args:
+        trials: (n,) samples of each; inf if all are alike.
+    """
+    widest = np.inf
+    for values in trials:
+        seen = np.unique(values[np.isfinite(values)])
+        gaps = np.diff(seen)
+        gaps = gaps[gaps > SAME_READING * (seen[-1] - seen[0])] if len(gaps) else gaps
+        if len(gaps):
+            widest = min(widest, float(np.median(gaps)))
+    return widest
 
 
 def _whole(changes: Array, tick: float) -> float:

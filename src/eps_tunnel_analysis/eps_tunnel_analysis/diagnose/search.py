@@ -80,7 +80,7 @@ class Search:
         self.evidence = levels["coarse"]
         infos = library.model.parameters()
         self.low = np.array([infos[name].low for name in library.names])
-        self.high = np.array([infos[name].high for name in library.names])
+        self.high = np.minimum([infos[name].high for name in library.names], library.highest)
         self.start = np.clip([infos[name].value for name in library.names], self.low, self.high)
         self.blocks = self.evidence.blocks[used]
         self.signal = self.blocks % len(self.evidence.signals)

@@ -7,9 +7,18 @@ from labyrinth_sim.filters import Map
 from labyrinth_sim.site import Site
 from labyrinth_sim.trials import Array
 
+ROUNDS = 8  # in which the angle behind a reading is found; each leaves as much as the error is steep
+
 
 def measure(values: Values, site: Site, step: float, start: Array) -> Map:
     return Map(lambda angle: angle + curve(values, angle_share(angle, values)))
+
+
+def undo(values: Values, site: Site, seen: Array) -> Array:
+    angle = seen
+    for _ in range(ROUNDS):
+        angle = seen - curve(values, angle_share(angle[:, None], values))[:, 0]
+    return angle
 
 
 EFFECT = Effect(
@@ -31,4 +40,5 @@ EFFECT = Effect(
     order=20,
     nameless=True,
     measure=measure,
+    undo=undo,
 )

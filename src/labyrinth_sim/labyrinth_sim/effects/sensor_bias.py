@@ -12,6 +12,10 @@ def measure(values: Values, site: Site, step: float, start: Array) -> Map:
     return Map(lambda angle: angle + bias)
 
 
+def undo(values: Values, site: Site, seen: Array) -> Array:
+    return seen - values["bias"]
+
+
 EFFECT = Effect(
     name="sensor_bias",
     title="Sensor bias",
@@ -38,4 +42,5 @@ EFFECT = Effect(
     order=30,
     exact=True,
     measure=measure,
+    undo=undo,
 )

@@ -12,6 +12,10 @@ def measure(values: Values, site: Site, step: float, start: Array) -> Map:
     return Map(lambda angle: angle * gain)
 
 
+def undo(values: Values, site: Site, seen: Array) -> Array:
+    return seen / values["gain"]
+
+
 EFFECT = Effect(
     name="sensor_gain",
     title="Sensor gain",
@@ -27,4 +31,5 @@ EFFECT = Effect(
     order=20,
     exact=True,
     measure=measure,
+    undo=undo,
 )
