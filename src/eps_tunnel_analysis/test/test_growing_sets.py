@@ -13,7 +13,7 @@ from eps_tunnel_analysis.diagnose import sets as sets_module
 from eps_tunnel_analysis.diagnose.candidates import starts
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.refits import Job, Refit
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, with_best_share
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, Search
 from eps_tunnel_analysis.diagnose.sets import refitted_sets, rival_refits, settled
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
@@ -140,6 +140,26 @@ def test_any_effect_may_replace_one_of_several_and_only_a_rival_one_alone(
         assert quick - {FRICTION} <= looked
     else:
         assert LOAD in looked and GAIN not in looked
+
+
+def test_a_rival_that_does_most_by_itself_is_tried_though_the_drive_might_do_as_much_with_any(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    last = sorted(search.library.candidates, key=lambda c: c.name == GAIN)
+    points = [TrialPoint(c, search.start, 0.9 + 0.01 * i, 0, 1.0 if c.name == GAIN else 200.0 + i)
+              for i, c in enumerate(last)]  # fmt: skip
+    tried: list[Job] = []
+    monkeypatch.setattr(search, "trial_points", lambda _, candidates: [p for p in points if p.candidate in candidates])
+    monkeypatch.setattr(search, "best_of", lambda jobs, *_: tried.extend(jobs) or [])
+    rival_refits(search, found(3.0, FRICTION, TICK), [])
+    named = [tuple(c.name for c in fitted) for fitted, _ in tried]
+    assert {(FRICTION, GAIN), (TICK, GAIN)} <= set(named)
+    assert len(named) == len(set(named)) < 2 * (len(last) - 2)
+
+
+def test_what_a_change_promises_is_what_its_best_share_leaves() -> None:
+    left = with_best_share(np.array([1.0, 2.0]), np.array([[-1.0, 0.0], [-2.0, 0.0], [1.0, 0.0], [0.0, -0.5]]))
+    assert left == pytest.approx([4.0, 4.0, 5.0, 3.25])
 
 
 @pytest.mark.parametrize(

@@ -57,12 +57,22 @@ class TrialPoint:
     Attributes:
         promised: the lowest cost with a share of its change, to first order.
         on: which of the refits it was tried on top of.
+        alone: the same while the base values stay as they are; `promised` lets them make up for as much as they can to
+            first order, which may be more than their bounds allow.
     """
 
     candidate: Candidate
     values: Array
     promised: float
     on: int
+    alone: float
+
+
+def with_best_share(residuals: Array, changes: Array) -> Array:
+    """(n,) sums of squares of residuals (R,), each with the best share, none to all, of one of changes (n, R)."""
+    size = np.maximum(np.sum(changes**2, axis=1), 1e-300)
+    share = np.clip(-(changes @ residuals) / size, 0.0, 1.0)
+    return np.asarray(np.sum((residuals + share[:, None] * changes) ** 2, axis=1))
 
 
 def best_by_set(refits: Sequence[Refit]) -> list[Refit]:

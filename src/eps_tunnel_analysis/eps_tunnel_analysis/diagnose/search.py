@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_rough, loosely_known, starts
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, with_residuals
+from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, with_best_share, with_residuals
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.stated import residual_of, strain_of, weight_of
 from eps_tunnel_analysis.fit.differences import directions, jacobian, steps_within
@@ -544,13 +544,12 @@ class Search:
             here -= basis @ (basis.T @ here)
             for low in range(0, len(pending), AT_ONCE):
                 answers = self.residuals(np.array([v for _, v in pending[low : low + AT_ONCE]]))
+                alone = with_best_share(refit.residuals, answers - refit.residuals) / len(refit.residuals)
                 # What the base values can compensate to first order does not count against a candidate.
                 answers = np.pad(answers, ((0, 0), (0, more)))
-                change = answers - (answers @ basis) @ basis.T - here
-                share = np.clip(-(change @ here) / np.maximum(np.sum(change**2, axis=1), 1e-300), 0.0, 1.0)
-                remaining = np.sum((here + share[:, None] * change) ** 2, axis=1) / len(refit.residuals)
-                batch = zip(pending[low : low + AT_ONCE], remaining, strict=True)
-                points += [TrialPoint(c, v, float(p), number) for (c, v), p in batch]
+                promised = with_best_share(here, answers - (answers @ basis) @ basis.T - here) / len(refit.residuals)
+                batch = zip(pending[low : low + AT_ONCE], promised, alone, strict=True)
+                points += [TrialPoint(c, v, float(p), number, float(a)) for (c, v), p, a in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
     def at(self, values: Array, like: Refit) -> Refit:

@@ -37,6 +37,7 @@ PAIR_SHORTLIST = 4
 MOST_EFFECTS = 3  # on one axis
 BEGINNINGS = 3  # effects of which a little is added to the base, before further ones are tried
 RIVALS = 4  # of an effect that are refitted in its place
+RIVALS_ALONE = 2  # more, those that do most for it while the base values stay as they are
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
 NEAR_COMPLETE = 2.0  # times what counts as nothing missing; a base that leaves less is descended until it rests
@@ -295,7 +296,10 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         bare = replace(search.at(values, best), effects=tuple(o.name for o in others))
         points = search.trial_points([bare], candidates)
         promising = [p for p in points if p.promised < known.get(rest | {p.candidate.name}, np.inf)]
-        jobs += _jobs(search, [bare], promising, RIVALS)
+        first = _jobs(search, [bare], promising, RIVALS)
+        chosen = {fitted[-1].name for fitted, _ in first}
+        left = sorted((p for p in promising if p.candidate.name not in chosen), key=lambda p: p.alone)
+        jobs += [*first, *_jobs(search, [bare], left, RIVALS_ALONE)]
     return search.best_of(jobs, ROUNDS, best.cost) if jobs else []
 
 
