@@ -53,10 +53,14 @@ class Meeting:
 
     def __init__(self, node: Node, action: str) -> None:
         self._client: Any = node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
-        nobody = CancelGoal.Request()
-        nobody.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
-        self._asked = Repeated(self._client, nobody)
+        self._nobody = CancelGoal.Request()
+        self._nobody.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        self._asked: Repeated | None = None
 
     def done(self) -> bool:
-        """Whether they have met. To be called while the node spins."""
-        return bool(self._client.service_is_ready()) and self._asked.done()
+        """Whether they have met; a server that went and came back is met anew. To be called while the node spins."""
+        if not self._client.service_is_ready():
+            self._asked = None
+        elif self._asked is None:
+            self._asked = Repeated(self._client, self._nobody)
+        return self._asked is not None and self._asked.done()

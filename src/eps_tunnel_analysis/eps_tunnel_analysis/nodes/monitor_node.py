@@ -20,6 +20,7 @@ from eps_tunnel_analysis.monitor.parts import Health, Pose, Scene, VerdictPart
 from eps_tunnel_analysis.monitor.server import SHORTEST_TOKEN, MonitorServer, is_loopback, new_token
 from eps_tunnel_analysis.monitor.session import Session
 from eps_tunnel_analysis.monitor.state import RecentHealth, State, Steps
+from eps_tunnel_analysis.nodes.answers import Meeting
 from eps_tunnel_analysis.nodes.common import SIDES, TunnelNode, run_node
 from eps_tunnel_analysis.nodes.messages import (
     PolledGroup,
@@ -211,6 +212,7 @@ class PlayerClient:
         ended: Callable[[PlaySequence.Result], None],
     ) -> None:  # fmt: skip
         self._client = ActionClient(node, PlaySequence, "play_sequence")
+        self._meeting = Meeting(node, "play_sequence")
         self._progress, self._ended = progress, ended
         self._handle: Any = None
         self._stop = False
@@ -218,8 +220,8 @@ class PlayerClient:
 
     @property
     def ready(self) -> bool:
-        """Whether the player is running."""
-        return bool(self._client.server_is_ready())
+        """Whether the player is running, and knows this client."""
+        return self._client.server_is_ready() and self._meeting.done()
 
     def play(self, sequence: str, trials: int, folder: Path) -> None:
         """Plays and records; calls `ended` at the end."""
