@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -236,9 +237,9 @@ def _roll_out(
 ) -> Array:
     qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
     start = rest_targets(plan, qpos, commands[:, 0], resting)
-    engine.start(qpos, qvel, start)
-    targets = through(command_filters(plan, numbers, step, start), commands)
-    return engine.roll(targets, means)
+    filters, reached = command_filters(plan, numbers, step, start, resting)
+    engine.start(qpos, qvel, reached)
+    return engine.roll(through(filters, commands), means)
 
 
 def rest_targets(plan: Plan, qpos: Array, first: Array, resting: NDArray[np.bool_] | bool = False) -> Array:
@@ -316,19 +317,34 @@ def _check(
         raise InputError(complaints)
 
 
-def command_filters(plan: Plan, values: Values, step: float, start: Array) -> list[list[Filter]]:
-    """The filters of each command channel in order, the drive's own last. `start` is (nsim, u) rad."""
+def command_filters(
+    plan: Plan, values: Values, step: float, start: Array, resting: NDArray[np.bool_] | bool = False
+) -> tuple[list[list[Filter]], Array]:
+    """The filters of each command channel in order, the drive's own last, and (nsim, u) rad what they gave until now.
+
+    Args:
+        start: (nsim, u) rad, the targets until now; where the axis rests under them, what comes of them has passed
+            through the filters long ago. Elsewhere they are what the drive was told in the end.
+    """
     chains: list[list[Filter]] = []
-    acting = plan.acting(values)
+    acting, reached = plan.acting(values), start.copy()
     for i, (drive, prefix, site) in enumerate(plan.drives):
+        held = np.broadcast_to(resting, start.shape)[:, i]
         made = [
-            placed.effect.command(local_values(values, placed.prefix), placed.site, step, start[:, i])
+            partial(placed.effect.command, local_values(values, placed.prefix), placed.site, step)
             for placed in acting
             if placed.effect.command and placed.site.channel == i
         ]
-        made.append(drive.target(local_values(values, prefix), site, step, start[:, i]) if drive.target else None)
-        chains.append([f for f in made if f is not None])
-    return chains
+        if drive.target:
+            made.append(partial(drive.target, local_values(values, prefix), site, step))
+        chain: list[Filter] = []
+        for make in made:
+            own, passed = make(reached[:, i]), make(reached[:, i]) if held.any() else None
+            if passed is not None:  # what follows begins with what this one gives at rest
+                reached[:, i] = np.where(held, passed(reached[:, i, None], start[:, None])[:, 0], reached[:, i])
+            chain += [own] if own is not None else []
+        chains.append(chain)
+    return chains, reached
 
 
 def measure_filters(model: Model, plan: Plan, values: Values, step: float, first: Array) -> list[list[Filter]]:

@@ -87,7 +87,7 @@ class BatchStepper:
         first = np.zeros(len(self.model.rig.axes)) if first_command is None else np.asarray(first_command, float)
         start = rest_targets(self._plan, qpos, np.broadcast_to(first, (self.count, len(self.model.rig.axes))))
         self._engine.start(qpos, qvel, start)
-        self._commands = command_filters(self._plan, self._numbers, self.step, start)
+        self._commands, _ = command_filters(self._plan, self._numbers, self.step, start)
         raw = self._engine.measure()
         self._sensors = measure_filters(self.model, self._plan, self._numbers, self.step, raw)
         self._samples = 0

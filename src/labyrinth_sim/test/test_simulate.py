@@ -7,6 +7,7 @@ import pytest
 
 from labyrinth_sim.build import compiled
 from labyrinth_sim.command_steps import command_steps
+from labyrinth_sim.effect import effects
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.first_state import first_state
@@ -305,3 +306,22 @@ def test_a_ramp_is_no_step_however_fast_for_a_stiff_drive() -> None:
         for means in (True, False)
     ]
     assert found[0] == pytest.approx(found[1], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", [name for name, effect in effects().items() if effect.command])
+def test_an_axis_that_rests_under_its_first_command_stays_there(model: Model, name: str) -> None:
+    """Though a drive that acts late would hear for a while what was not yet changed on its way."""
+    effect = effects()[name]
+    typical = {p.name: p.typical for p in effect.parameters}
+    late = model.with_values({"drive.x.delay": 0.03}).with_effect(effect, "x", typical)
+    held = np.broadcast_to([0.07, -0.05], (400, 2))
+    time, positions = np.arange(400) * 0.01, ("motor_x", "board_x", "motor_y", "board_y")
+    moved = simulate(late, time, held)
+    pose = {signal: moved.values[0, -1, moved.index(signal)] for signal in positions}
+    first = {signal: np.array([value]) for signal, value in pose.items()}
+    rested = simulate_batch(
+        late, (), np.empty((1, 0)), time[:60], held[None, :60], first, resting=np.array([[True] * 2])
+    )
+    for signal in positions:
+        seen = rested.values[0, 0, :, rested.signals.index(signal)]
+        assert seen == pytest.approx(pose[signal], abs=1e-4), signal
