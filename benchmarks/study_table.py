@@ -40,6 +40,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_shows": "tried: what an effect leaves ends at 9 floors",
     "diagnosis_curves": "any effect may replace one of several; an error of a form counts as a smooth curve",
     "diagnosis_woken": "values that show only far from what is stated are fitted there",
+    "diagnosis_quick": "as before, nine minutes on 16 cores: what takes longer is missing",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
