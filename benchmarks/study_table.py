@@ -41,6 +41,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_curves": "any effect may replace one of several; an error of a form counts as a smooth curve",
     "diagnosis_woken": "values that show only far from what is stated are fitted there",
     "diagnosis_quick": "as before, nine minutes on 16 cores: what takes longer is missing",
+    "diagnosis_begun": "roll-outs begin behind biased sensors; commands have acted on axes at rest (from 870803 on)",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
