@@ -136,7 +136,7 @@ def _default(node: ast.expr) -> str:
 
 
 def ends(file: Path) -> list[End]:
-    """What a node publishes, hears, serves and calls; without what is named only while it runs."""
+    """What a node publishes, hears, serves and calls; without what is named only while it runs, and hidden names."""
     found: dict[End, None] = {}
     for source in with_neighbours(file):
         kinds = imported(source)
@@ -144,7 +144,7 @@ def ends(file: Path) -> list[End]:
             if isinstance(node, ast.Call) and _called(node) in ENDS:
                 # What is not a method of the node takes the node first.
                 kind, name = node.args[:2] if _called(node).startswith("create_") else node.args[1:3]
-                if (topic := _topic(name)) and ast.unparse(kind) in kinds:
+                if (topic := _topic(name)) and "/_" not in topic and ast.unparse(kind) in kinds:
                     found[End(ENDS[_called(node)], topic, kinds[ast.unparse(kind)])] = None
     return sorted(found, key=lambda e: (list(ENDS.values()).index(e.how), e.name))
 
