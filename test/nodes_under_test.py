@@ -73,8 +73,7 @@ class Workplace:
     def action(self, kind: Any, name: str) -> Any:
         """A client of an action, once its server and it have found each other."""
         client: Any = ActionClient(self.node, kind, name)
-        meeting = Meeting(self.node, name)
-        self.until(lambda: client.server_is_ready() and meeting.done())
+        self.until(Meeting(self.node, client, name).done)
         return client
 
     def call(self, client: Any, request: Any) -> Any:

@@ -13,7 +13,7 @@ pytest.importorskip("labyrinth_msgs", reason="needs ROS 2 and the built workspac
 sys.path.insert(0, str(Path(__file__).parent))
 
 from nodes_under_test import Workplace, workplace
-from rclpy.action import ActionServer, GoalResponse
+from rclpy.action import ActionClient, ActionServer, GoalResponse
 from std_srvs.srv import Trigger
 
 from eps_tunnel_analysis.nodes import answers
@@ -49,7 +49,7 @@ def test_a_request_whose_answer_is_lost_is_sent_again(place: Workplace, monkeypa
 
 
 def test_an_action_s_server_is_met_without_a_goal(place: Workplace) -> None:
-    meeting = answers.Meeting(place.node, "/calibrate")
+    meeting = answers.Meeting(place.node, ActionClient(place.node, Calibrate, "/calibrate"), "/calibrate")
     for _ in range(3):
         place.executor.spin_once(timeout_sec=0.05)
         assert not meeting.done(), "there is no server yet"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from eps_tunnel_analysis.tunnel import Tunnel, build_tunnel, smooth
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.shown import shown
-from labyrinth_sim.trials import Array, Trials
+from labyrinth_sim.trials import Array, Trials, runs
 
 Mask = NDArray[np.bool_]
 KS = (1.0, 2.0, 3.0, 4.0, 5.0)
@@ -96,11 +96,10 @@ class Alikeness:
             outside = self.seen[:, i] & ~self.alike[:, i]
         else:
             raise InputError(unknown_name("signal", signal, self.signals))
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], outside, [False]]).astype(np.int8)))
         step = float(self.time[1] - self.time[0]) if len(self.time) > 1 else 0.0
         return tuple(
-            Span(signal or "jointly", float(self.time[a]), float(self.time[b - 1]) + step, int(b - a))
-            for a, b in edges.reshape(-1, 2)
+            Span(signal or "jointly", float(self.time[a]), float(self.time[b - 1]) + step, b - a)
+            for a, b in runs(np.asarray(outside))
         )
 
 

@@ -2,6 +2,7 @@
 """Roll-outs: parameter sets times commands, all at once."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -327,9 +328,8 @@ def command_filters(
             through the filters long ago. Elsewhere they are what the drive was told in the end.
     """
     chains: list[list[Filter]] = []
-    acting, reached = plan.acting(values), start.copy()
+    acting, reached, held = plan.acting(values), start.copy(), np.broadcast_to(resting, start.shape)
     for i, (drive, prefix, site) in enumerate(plan.drives):
-        held = np.broadcast_to(resting, start.shape)[:, i]
         made = [
             partial(placed.effect.command, local_values(values, placed.prefix), placed.site, step)
             for placed in acting
@@ -339,10 +339,13 @@ def command_filters(
             made.append(partial(drive.target, local_values(values, prefix), site, step))
         chain: list[Filter] = []
         for make in made:
-            own, passed = make(reached[:, i]), make(reached[:, i]) if held.any() else None
-            if passed is not None:  # what follows begins with what this one gives at rest
-                reached[:, i] = np.where(held, passed(reached[:, i, None], start[:, None])[:, 0], reached[:, i])
-            chain += [own] if own is not None else []
+            own = make(reached[:, i])
+            if own is None:
+                continue
+            chain.append(own)
+            if held[:, i].any():  # what follows begins with what this one gives at rest
+                given = deepcopy(own)(reached[:, i, None], start[:, None])[:, 0]
+                reached[:, i] = np.where(held[:, i], given, reached[:, i])
         chains.append(chain)
     return chains, reached
 

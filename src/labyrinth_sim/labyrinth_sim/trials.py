@@ -20,6 +20,12 @@ def locked(values: object) -> Array:
     return array
 
 
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First index, and the one behind the last, of each unbroken run of true flags (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(low), int(high)) for low, high in edges.reshape(-1, 2)]
+
+
 @shown
 @dataclass(frozen=True)
 class Trials:

@@ -14,7 +14,7 @@ from eps_tunnel_analysis.recording.trials import MAX_GAP
 from eps_tunnel_analysis.stamped import Series
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import Axis, Measured
-from labyrinth_sim.trials import Array
+from labyrinth_sim.trials import Array, runs
 
 UNEVEN = 0.2  # jitter, as a share of the sample time, that is worth a word
 LATE_COMMAND = 1.5  # sample times, beyond which a command is late
@@ -165,7 +165,7 @@ def _clipped(axis: Axis, measured: Measured, plays: Sequence[Play]) -> Iterator[
         for values in play.trials.values[:, :, column]:
             reach = float(np.nanmax(np.abs(values), initial=0.0))
             near = np.abs(np.abs(values) - reach) <= 1e-6 * max(reach, 1e-12)
-            run = _runs(near & moving, max(5, round(CLIPPED_RUN / max(play.trials.step, 1e-9))))
+            run = _in_long_runs(near & moving, max(5, round(CLIPPED_RUN / max(play.trials.step, 1e-9))))
             share.append(float(np.mean(run)))
             top = max(top, reach)
     if max(share) > RAGGED:
@@ -177,11 +177,10 @@ def _clipped(axis: Axis, measured: Measured, plays: Sequence[Play]) -> Iterator[
         )  # fmt: skip
 
 
-def _runs(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+def _in_long_runs(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """(T,) those that stand in runs of at least so many."""
     kept = np.zeros(len(flags), dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    for low, high in zip(edges[::2], edges[1::2], strict=True):
+    for low, high in runs(flags):
         if high - low >= least:
             kept[low:high] = True
     return kept

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from eps_tunnel_analysis.stamped import Readings
-from labyrinth_sim.trials import Array, locked
+from labyrinth_sim.trials import Array, locked, runs
 
 DRIFT = 0.3  # s over which deviations of trials are pooled to see them drift
 REST = 1.0  # s, of a stretch of rest
@@ -93,8 +93,6 @@ def signal_noise(
     window = max(1, round(DRIFT / width))
     around: float | Array = white  # an effort, say, is noisier in motion than at rest
     slow: float | Array = 0.0
-    if not repeats and still is not None:
-        slow = max(_unrest(bins.single[0], still, round(REST / width)) - CHANCE * white, 0.0)
     if repeats:
         # By chance alone a window of white noise exceeds its mean a little; only what goes beyond is drift.
         inside = _sum(freedom, window)
@@ -105,6 +103,8 @@ def signal_noise(
         # What is divided by a deviation known from few samples has Student's distribution, which is wider.
         known = np.maximum(INDEPENDENT * inside, LEAST_FREEDOM)
         around *= known / (known - 2.0)
+    elif still is not None:
+        slow = max(_unrest(bins.single[0], still, round(REST / width)) - CHANCE * white, 0.0)
     motion = float(np.sqrt(np.var(bins.mean)))
     rounding = _rounding(bins, tick, max(white - tick**2 / 12.0, 0.0))
     early = timing / np.sqrt(trials) * _slope(bins)
@@ -157,9 +157,8 @@ def _unrest(values: Array, still: NDArray[np.bool_], window: int) -> float:
     """Variance of a signal (b,) within stretches of `still` bins (b,) that are a window long, about parabolas, which
     take what still settles; the median of the stretches, 0 if there are fewer than RESTS.
     """
-    here = still & np.isfinite(values)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
-    starts = [s for low, high in edges.reshape(-1, 2) for s in range(low, high - window + 1, window)]
+    rests = runs(still & np.isfinite(values))
+    starts = [s for low, high in rests for s in range(low, high - window + 1, window)]
     if len(starts) < RESTS or window <= BENT + 1:
         return 0.0
     stretches = np.array([values[s : s + window] for s in starts])

@@ -45,13 +45,17 @@ class Repeated:
 
 
 class Meeting:
-    """Whether an action's server has found the action client that this node made before.
+    """Whether an action's server and a client of it have found each other.
 
     Endpoints are made known in the order in which they were made. An answer to a client that was made later therefore
     shows that the server knows the earlier ones. The request cancels a goal that does not exist.
+
+    Args:
+        node, client: whose client it is, and the client of the action of this name.
     """
 
-    def __init__(self, node: Node, action: str) -> None:
+    def __init__(self, node: Node, client: Any, action: str) -> None:
+        self._action_client = client
         self._client: Any = node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
         self._nobody = CancelGoal.Request()
         self._nobody.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
@@ -59,7 +63,7 @@ class Meeting:
 
     def done(self) -> bool:
         """Whether they have met; a server that went and came back is met anew. To be called while the node spins."""
-        if not self._client.service_is_ready():
+        if not (self._action_client.server_is_ready() and self._client.service_is_ready()):
             self._asked = None
         elif self._asked is None:
             self._asked = Repeated(self._client, self._nobody)

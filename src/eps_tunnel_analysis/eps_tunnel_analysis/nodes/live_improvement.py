@@ -47,7 +47,7 @@ class RigClient:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("eps_tunnel")
         self._player = ActionClient(self._node, PlaySequence, "play_sequence")
-        self._meeting = Meeting(self._node, "play_sequence")
+        self._meeting = Meeting(self._node, self._player, "play_sequence")
         self._loader = self._node.create_client(LoadModel, "sim/load_model")
         self._limits = self._node.create_client(GetParameters, "player/get_parameters")
         self._verdicts = self._node.create_publisher(Diagnosis, "srg/diagnosis", latched())
@@ -58,7 +58,7 @@ class RigClient:
         Raises:
             RigFailed: with the player's message.
         """
-        self._appear(lambda: self._player.server_is_ready() and self._meeting.done(), "the player (/play_sequence)")
+        self._appear(self._meeting.done, "the player (/play_sequence)")
         goal = PlaySequence.Goal(sequence=sequence, trials=trials, record=True, folder=str(folder.resolve()))
         with ProgressBar() as bar:
 

@@ -212,7 +212,7 @@ class PlayerClient:
         ended: Callable[[PlaySequence.Result], None],
     ) -> None:  # fmt: skip
         self._client = ActionClient(node, PlaySequence, "play_sequence")
-        self._meeting = Meeting(node, "play_sequence")
+        self._meeting = Meeting(node, self._client, "play_sequence")
         self._progress, self._ended = progress, ended
         self._handle: Any = None
         self._stop = False
@@ -221,7 +221,7 @@ class PlayerClient:
     @property
     def ready(self) -> bool:
         """Whether the player is running, and knows this client."""
-        return self._client.server_is_ready() and self._meeting.done()
+        return self._meeting.done()
 
     def play(self, sequence: str, trials: int, folder: Path) -> None:
         """Plays and records; calls `ended` at the end."""

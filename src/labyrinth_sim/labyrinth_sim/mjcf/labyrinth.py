@@ -21,7 +21,7 @@ import numpy as np
 
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.mjcf.geometry import Layout
-from labyrinth_sim.trials import Array
+from labyrinth_sim.trials import Array, runs
 
 TIMESTEP = 0.002  # s; see docs/decisions/labyrinth_mjcf.md
 PIVOT_HEIGHT = 0.08  # m, estimate
@@ -165,11 +165,10 @@ def _largest(free: np.ndarray, xs: Array, ys: Array) -> tuple[int, int, int, int
             columns &= free[i1 - 1]
             if not columns.any():
                 break
-            steps = np.flatnonzero(np.diff(np.concatenate([[False], columns, [False]]).astype(int)))
-            for j0, j1 in zip(steps[::2], steps[1::2], strict=True):
+            for j0, j1 in runs(columns):
                 area = float((xs[i1] - xs[i0]) * (ys[j1] - ys[j0]))
                 if area > best * (1 + 1e-9):
-                    best, bounds = area, (i0, i1, int(j0), int(j1))
+                    best, bounds = area, (i0, i1, j0, j1)
     return bounds
 
 
