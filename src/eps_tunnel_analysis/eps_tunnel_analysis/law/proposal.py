@@ -19,6 +19,7 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.ball import BALL, without_ball
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, with_curves
 from eps_tunnel_analysis.diagnose.rank import NONE, UNKNOWN, Hypothesis, rank
+from eps_tunnel_analysis.diagnose.refits import lowest
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import percent
@@ -313,9 +314,10 @@ def propose(
     run = SearchOptions((), nthread)
     every = dictionaries(design, positions)
     words = {acts: (place, terms) for acts, place, terms in every}
+    stated = dict(zip(beside.search.library.base, map(float, beside.search.start), strict=False)) if beside else {}
 
     def attempts(laws: Iterable[Formula], way: Dependence) -> list[_Attempt]:
-        refitted = (_formula_refitted(law, way, model, plays, part, run) for law in laws)
+        refitted = (_formula_refitted(law, way, model, plays, part, run, stated) for law in laws)
         return [attempt for attempt in refitted if not runs_away(attempt.model, shows.command, nthread)]
 
     tried: list[_Attempt] = []
@@ -347,7 +349,7 @@ def propose(
         start = {
             f"{first.curve}.{first.place}.{n}": float(w) for n, w in zip(NAMES, (w for _, w in table), strict=True)
         }
-        free = _refitted("curve", nothing, lib, plays, part, run, start, first)
+        free = _refitted("curve", nothing, lib, plays, part, run, start, first, stated)
         if best is None or free.refit.held_out * SETTINGS.law_as_good < best.refit.held_out:
             best = free if np.isfinite(free.refit.held_out) else best
     bare = replace(bare, tried={_words(t, first): t.refit.held_out for t in tried})
@@ -545,28 +547,35 @@ def ratios(rig: Rig, axis: str) -> dict[str, float]:
 
 
 def _formula_refitted(
-    law: Formula, way: Dependence, model: Model, plays: Sequence[Play], part: AxisPart, run: SearchOptions
-) -> _Attempt:
+    law: Formula, way: Dependence, model: Model, plays: Sequence[Play], part: AxisPart, run: SearchOptions,
+    stated: Mapping[str, float],
+) -> _Attempt:  # fmt: skip
     """A formula in roll-outs, from the numbers that it has."""
     lib = library_of(model, part, [(declared(effect_file(law.terms)), way.place)])
     named = zip(law.terms, prefixes(law.terms), strict=True)
     start = {f"{NAME}.{way.place}.{name}_{n}": v for c, name in named for n, v in c.values.items()}
-    return _refitted("formula", law, lib, plays, part, run, start, way)
+    return _refitted("formula", law, lib, plays, part, run, start, way, stated)
 
 
 def _refitted(
     kind: str, law: Formula, lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOptions,
-    start: Mapping[str, float], way: Dependence,
+    start: Mapping[str, float], way: Dependence, stated: Mapping[str, float],
 ) -> _Attempt:  # fmt: skip
-    """A library's one candidate in roll-outs, from start values."""
+    """A library's one candidate in roll-outs, from start values.
+
+    Args:
+        stated: base values that it is started from as well: those of the model were fitted without what is missing, and
+            may lie in a valley where a law leaves more than it has to.
+    """
     search = search_of(lib, plays, part, run)
     own = lib.candidates[0]
-    values = search.start.copy()
-    for name, number in start.items():
-        column = lib.names.index(name) if name in lib.names else -1
-        if column >= 0:
-            values[column] = np.clip(number, search.low[column], search.high[column])
-    refit = search.refit([((own,), values)], LAW_ROUNDS, "fine")[0]
+
+    def begun(numbers: Mapping[str, float]) -> Array:
+        given = [numbers.get(name, value) for name, value in zip(lib.names, search.start, strict=True)]
+        return np.clip(given, search.low, search.high)
+
+    points = [begun(start), *([begun({**stated, **start})] if stated else [])]
+    refit = lowest(search.refit([((own,), values) for values in points], LAW_ROUNDS, "fine"))
     columns = search.fitted(refit)
     slopes = search.jacobian(refit)
     spread = max(refit.cost, 1.0) * SETTINGS.correlated
