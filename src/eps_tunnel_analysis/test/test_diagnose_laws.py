@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -315,9 +316,9 @@ def test_the_numbers_by_which_it_is_decided_mean_what_they_say() -> None:
     assert said({(): 1.35 * even})[UNKNOWN] == pytest.approx(10 / 11, abs=0.01)
     assert said({(): 101.0, ("a.x",): s.healthy + 100.0 * s.form})["a.x"] == pytest.approx(0.5, abs=1e-3)
     assert said({(): 1.0, ("a.x",): 0.99}, drifts=True)[UNKNOWN] == pytest.approx(s.odd, abs=0.01)
-    for base in (5.0, 101.0):
+    for base in (9.0, 101.0):
         least = max(s.material, s.share * (base - 1.0))
-        costs = np.array([[least + 1.0, 1.0]])
+        costs = np.array([[least + 2.5, 2.5]])  # more than noise, where forms count
         sets = [hypothesis(effects, np.ones(8)) for effects in (("a.x",), ("a.x", "b.x"))]
         needed = rank_module._needed(sets, np.array([base]), costs, np.array([base - 1.0]), np.ones(2), 1.0)
         assert needed == pytest.approx(np.array([[1.0, 0.5]]))
@@ -344,14 +345,15 @@ def test_what_an_effect_of_one_form_leaves_is_something_else() -> None:
     unit = smooth_noise(SAMPLES, 0, 5)
     folds = np.arange(SAMPLES) * FOLDS // SAMPLES
 
-    def said(inexact: float) -> dict[str, float]:
-        left = {("a.x",): (4.0, inexact), ("a.x", "b.x"): (1.0, 0.02)}
+    def said(inexact: float, pair: float) -> dict[str, float]:
+        left = {("a.x",): (4.0, inexact), ("a.x", "b.x"): (pair, 0.02)}
         sets = [replace(hypothesis(e, np.sqrt(cost) * unit), inexact=share) for e, (cost, share) in left.items()]
         base = hypothesis((), np.sqrt(200.0) * unit)
         return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), 10).probabilities
 
-    assert said(0.0)["a.x + b.x"] > 0.9
-    assert said(1.0)["a.x + b.x"] < 0.4
+    assert said(0.0, 2.5)["a.x"] < 0.1 and said(1.0, 2.5)["a.x"] > 0.6
+    for inexact in (0.0, 1.0):
+        assert said(inexact, 1.0)["a.x + b.x"] > 0.9, "an error of a form does not end at the noise"
 
 
 def test_the_form_of_an_effect_counts_for_what_that_effect_explains() -> None:
@@ -372,7 +374,7 @@ def test_the_form_of_an_effect_counts_for_what_that_effect_explains() -> None:
     assert shares[("delay.x", "friction.x")] == pytest.approx(0.4), "beside the delay it explains 40, alone 10"
 
 
-def test_what_a_form_may_leave_a_rival_of_a_single_form_that_fits_as_well_may_not() -> None:
+def test_what_a_form_may_leave_of_a_single_trial_a_rival_of_a_single_form_may_not() -> None:
     exact = {"torque.x": True, "load.x": False, "play.x": False}
     found = {name: SimpleNamespace(effect=SimpleNamespace(exact=is_exact)) for name, is_exact in exact.items()}
     library = SimpleNamespace(find=found.__getitem__)
@@ -381,11 +383,13 @@ def test_what_a_form_may_leave_a_rival_of_a_single_form_that_fits_as_well_may_no
     def refit(names: tuple[str, ...], cost: float) -> Refit:
         return Refit(names, np.zeros(1), np.full(SAMPLES, np.sqrt(cost)), cost, 3, True)
 
-    base, load = refit((), 171.0), refit(("load.x",), 3.0)
-    assert not lacks_more(search, base, load, [load])
-    assert lacks_more(search, base, load, [load, refit(("torque.x",), 3.2)])
-    assert not lacks_more(search, base, load, [load, refit(("torque.x",), 9.0)]), "what fits worse says nothing"
-    assert not lacks_more(search, base, refit(("load.x", "play.x"), 3.0), [refit(("torque.x",), 3.2)]), "one of fewer"
+    base, load = refit((), 171.0), refit(("load.x",), 5.0)
+    lacks = partial(lacks_more, search, base, floor=False)
+    assert not lacks(load, [load])
+    assert lacks(load, [load, refit(("torque.x",), 5.2)])
+    assert not lacks(load, [load, refit(("torque.x",), 9.0)]), "what fits worse says nothing"
+    assert not lacks(refit(("load.x", "play.x"), 5.0), [refit(("torque.x",), 5.2)]), "one of fewer"
+    assert lacks_more(search, base, load, [load]), "with a known floor, more may take the rest to the noise"
 
 
 def test_an_effect_that_fits_better_with_the_values_of_a_pair_starts_again_there() -> None:

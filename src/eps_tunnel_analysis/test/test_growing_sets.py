@@ -3,20 +3,25 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from fit_cases import search_on_x
+from fit_cases import made_by, search_on_x, step
 
 from eps_tunnel_analysis.diagnose import sets as sets_module
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.base_values import sensed_joints
 from eps_tunnel_analysis.diagnose.candidates import starts
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, with_best_share
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, Search
-from eps_tunnel_analysis.diagnose.sets import refitted_sets, rival_refits, settled
+from eps_tunnel_analysis.diagnose.sets import refitted_sets, rival_refits, settled, started_again
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
+from eps_tunnel_analysis.recorded_play import Play
+from labyrinth_sim.model import load_model
 
 FRICTION, GAIN, TICK, WAVES = "direction_friction.x", "gain_error.x", "command_quantisation.x", "positioning_error.x"
 LIMIT, PROFILE = "rate_limit.x", "motion_profile.x"  # the second contains the first
@@ -51,6 +56,7 @@ def told(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> None:
         "rival_refits": lambda *_: [],
         "general_refits": lambda *_: [],
         "refined": lambda _, *unchanged: unchanged,
+        "started_again": lambda _, base, refits, __: (base, refits),
         "nested_refits": lambda _, *unchanged: unchanged,
         "with_fewer_again": lambda _, *unchanged: unchanged,
         "settled": lambda _, *unchanged: unchanged,
@@ -119,7 +125,7 @@ def test_what_the_rivals_of_the_last_set_led_to_has_rivals_too(
 
     def rivals(_: Search, best: Refit, __: object) -> list[Refit]:
         asked.append(best.effects)
-        return [found(5.0 - len(asked), *answers[best.effects])] if best.effects in answers else []
+        return [found(1.1 - 0.1 * len(asked), *answers[best.effects])] if best.effects in answers else []
 
     told(monkeypatch, next_refits=lambda *_, **__: [found(20.0, FRICTION)], rival_refits=rivals)
     _, refits = refitted_sets(search, found(100.0))
@@ -155,6 +161,21 @@ def test_a_rival_that_does_most_by_itself_is_tried_though_the_drive_might_do_as_
     named = [tuple(c.name for c in fitted) for fitted, _ in tried]
     assert {(FRICTION, GAIN), (TICK, GAIN)} <= set(named)
     assert len(named) == len(set(named)) < 2 * (len(last) - 2)
+
+
+@pytest.mark.parametrize(
+    ("promised", "exhaustive", "fitted"), [(8.9, False, True), (9.1, False, False), (9.1, True, True)]
+)
+def test_a_rival_that_promises_no_more_than_what_is_given_up_leaves_is_not_fitted(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, promised: float, exhaustive: bool, fitted: bool
+) -> None:
+    tried: list[Job] = []
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    monkeypatch.setattr(search, "best_of", lambda jobs, *_: tried.extend(jobs) or [])
+    point = partial(TrialPoint, values=search.start, promised=promised, on=0, alone=promised)
+    monkeypatch.setattr(search, "trial_points", lambda _, candidates: [point(c) for c in candidates])
+    rival_refits(search, found(3.0, FRICTION), [found(50.0, LOAD)])
+    assert bool(tried) is fitted
 
 
 def test_what_a_change_promises_is_what_its_best_share_leaves() -> None:
@@ -220,6 +241,27 @@ def test_what_is_near_the_best_in_the_end_is_descended_until_it_rests(search: Se
     assert (rested.effects, unchanged) == ((LOAD,), far)
     assert stopped.cost > 1.5
     assert max(again.cost, rested.cost) < 1.05
+
+
+def test_a_play_begins_anew_where_the_best_set_puts_it_if_that_leaves_more_than_noise(found: Found) -> None:
+    """Stiction holds the joint where the play begins for most of it."""
+    model = load_model("labyrinth_manual").with_effect("coulomb_friction", "x", {"torque": 0.4})
+    commands = np.vstack([np.zeros((100, 2)), step(3.0, samples=61)])
+    recorded = [Play("late", made_by(model, commands))]
+    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
+    search = axis_search(model, recorded, part, SearchOptions(("gain_error", "load_friction"), 1))
+    exact = search.levels["exact"]
+    off = {name: 2.0 * exact.start_noise(0, joint[0]) for joint in sensed_joints(search) for name in joint}
+    search.levels = {level: evidence.started([off]) for level, evidence in search.levels.items()}
+    gain, far = search.refit([(search.library.of([GAIN]), search.start)], 6, "exact")[0], found(200.0, LOAD)
+    far = replace(far, values=search.start, residuals=np.full(len(search.used), 9.0))
+    base = replace(far, effects=())
+    left = worst_floors(gain.residuals, search.signal)
+    for allowed in (1.01 * left / SETTINGS.close, SETTINGS.healthy):
+        begun = search.levels["exact"].initial
+        _, (best, *_) = started_again(search, base, [gain, far], allowed)
+        assert (search.levels["exact"].initial is begun) == (best is gain) == (allowed != SETTINGS.healthy)
+    assert 2.0 * worst_floors(best.residuals, search.signal) < left > 2.0
 
 
 def test_a_set_near_the_best_starts_again_from_the_base_values_of_the_best(

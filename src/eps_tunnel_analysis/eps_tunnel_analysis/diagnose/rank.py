@@ -420,8 +420,18 @@ def _needed(
         # One effect matters if it is more than the sensors' noise; another one if it is more than what the best leaves.
         matters = SETTINGS.material / (unit if len(sets[i]) < 2 else min(unit, 1.0))
         for cost, share in simpler:
-            needed[:, i] = np.minimum(needed[:, i], _materially(cost - costs[:, i], misfit, share, matters))
+            more = _materially(cost - costs[:, i], misfit, share, matters)
+            needed[:, i] = np.minimum(needed[:, i], np.maximum(more, _completes(costs[:, i], cost, unit)))
     return needed
+
+
+def _completes(costs: Array, simpler: Array, unit: float) -> Array:
+    """(d,) from 0 to 1: how far a hypothesis leaves no more than a healthy rig does and a simpler one more, clearly.
+
+    What is between them is then not an error of the simpler one's form: that would not end at the noise.
+    """
+    whole, part = 1.0 - _above(costs * unit, SETTINGS.healthy), _above(simpler * unit, SETTINGS.healthy)
+    return np.asarray(whole * part * _above((simpler - costs) * unit, SETTINGS.material))
 
 
 def _between_forms(
@@ -430,16 +440,15 @@ def _between_forms(
 ) -> Array:  # fmt: skip
     """Scores (d, h) of general and of simple forms of the same effects, by what they leave on the worst signal.
 
-    Where the general one leaves no more than a healthy rig does, and the simple one more, what is between them is not
-    an error of another effect's form: the simple one is lowered as far as the noise says. Elsewhere the general one is
+    Where the general one leaves no more than a healthy rig does, and the simple one more, the simple one is lowered as
+    far as the noise says. Elsewhere the general one is
     no better than the simple one, unless it explains materially more; then the number of their values decides. With the
     values at their bounds that it has beyond the simple one, it is that one, and counts only for what it explains more.
     """
     capped, completes = scores.copy(), {}
     for i, j in _forms(hypotheses):
         gain = worst[:, j] - worst[:, i]
-        general, simple = (_above(worst[:, k] * unit, SETTINGS.healthy) for k in (i, j))
-        completes[i, j] = (1.0 - general) * simple * _above(gain * unit, SETTINGS.material)
+        completes[i, j] = _completes(worst[:, i], worst[:, j], unit)
         more = np.maximum(_materially(gain, misfit, kept[j]), completes[i, j])
         alike = np.minimum(scores[:, i], scores[:, j])
         capped[:, i] = np.minimum(capped[:, i], more * scores[:, i] + (1.0 - more) * alike)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, base_starts, better_base, softened
+from eps_tunnel_analysis.diagnose.base_values import BASE_STARTS, base_starts, better_base, sensed_joints, softened
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.contained import (
     NEAR_BEST,
@@ -22,8 +22,16 @@ from eps_tunnel_analysis.diagnose.contained import (
 )
 from eps_tunnel_analysis.diagnose.guided import event_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
-from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, base_and_sets, best_by_set, lowest
-from eps_tunnel_analysis.diagnose.search import FEW_STARTS, SHORTLIST, Search
+from eps_tunnel_analysis.diagnose.refits import (
+    Job,
+    Refit,
+    TrialPoint,
+    base_and_sets,
+    best_by_set,
+    lowest,
+    with_residuals,
+)
+from eps_tunnel_analysis.diagnose.search import FEW_STARTS, HOPELESS, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.ticks import tick_points
 from labyrinth_sim.trials import Array
@@ -73,7 +81,7 @@ def refitted_sets(
     best = lowest([base, *refits])
     replaced = {frozenset(best.effects)}  # sets whose rivals were tried
     refits = best_by_set([*refits, *rival_refits(search, best, refits)])
-    base, refits = refined(search, base, refits)
+    base, refits = started_again(search, *refined(search, base, refits), allowed)
     best = lowest([base, *refits])
     worth = _explains(base, best)
     lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
@@ -107,7 +115,7 @@ def refitted_sets(
         replaced.add(frozenset(best.effects))
         refits = best_by_set([*refits, *rival_refits(search, best, refits)])
     refits = best_by_set([*refits, *general_refits(search, refits)])
-    base, refits = refined(search, base, refits)
+    base, refits = started_again(search, *refined(search, base, refits), allowed)
     base, refits = with_fewer_again(search, base, refits)
     base, refits = settled(search, base, refits)
     return base, refits
@@ -173,6 +181,25 @@ def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     search.settle_at(again[0])
     judged = {old.effects: replace(new, converged=old.converged) for old, new in zip(near, again[1:], strict=True)}
     return again[0], best_by_set([judged.get(r.effects, r) for r in refits])
+
+
+def started_again(search: Search, base: Refit, refits: Sequence[Refit], allowed: float) -> tuple[Refit, list[Refit]]:
+    """The base and the refits, each play begun in the pose where the best of them puts it, if it leaves more than
+    `allowed` floors: while an effect is missing, its misfit hides that of the pose.
+    """
+    best, joints = lowest([base, *refits]), sensed_joints(search)
+    if not best.effects or not joints or worst_floors(best.residuals, search.signal) <= SETTINGS.close * allowed:
+        return base, list(refits)
+    search.settle_start(best, joints)
+    every = [base, *refits]
+    rows = search.residuals(np.array([r.values for r in every]), "exact")
+    base, refits = base_and_sets([with_residuals(r, row) for r, row in zip(every, rows, strict=True)])
+    best = lowest([base, *refits])
+    search.settle_at(best)
+    near = [r for r in (base, *refits) if r.cost < NEAR_BEST * max(best.cost, 1.0)]
+    again = search.judged([(search.library.of(r.effects), r.values) for r in near], ROUNDS)
+    again = [replace(new, converged=old.converged) for old, new in zip(near, again, strict=True)]
+    return base_and_sets([base, *refits, *again])
 
 
 def next_refits(
@@ -278,9 +305,11 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
     were tried; each of several by any other that needs few starts, because it was chosen while the others were missing.
     The base values of the best are kept, because the drive is the same whatever is missing.
 
-    A set that was tried before is fitted again only if this promises a lower cost than it reached.
+    A set that was tried before is fitted again only if this promises a lower cost than it reached, and any only if it
+    promises no more than descents that are given up leave.
     """
     known = {frozenset(r.effects): r.cost for r in tried}
+    most = np.inf if search.exhaustive else HOPELESS * max(best.cost, 1.0)
     several = len(best.effects) > 1
     jobs: list[Job] = []
     for name in best.effects:
@@ -295,7 +324,7 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
             continue
         bare = replace(search.at(values, best), effects=tuple(o.name for o in others))
         points = search.trial_points([bare], candidates)
-        promising = [p for p in points if p.promised < known.get(rest | {p.candidate.name}, np.inf)]
+        promising = [p for p in points if p.promised < min(known.get(rest | {p.candidate.name}, np.inf), most)]
         first = _jobs(search, [bare], promising, RIVALS)
         chosen = {fitted[-1].name for fitted, _ in first}
         left = sorted((p for p in promising if p.candidate.name not in chosen), key=lambda p: p.alone)
@@ -316,14 +345,15 @@ def lacks_more(
 ) -> bool:  # fmt: skip
     """Whether the best of some refits, or a rival that fits as well, leaves so much that more may be missing.
 
-    What an effect may leave for its form, one of a single form may not. Without repeated trials, only a misfit far
-    beyond the sensors' noise counts.
+    What an effect leaves for its form no further one takes to the noise, which only a search shows. Without repeated
+    trials, only a misfit far beyond the sensors' noise and beyond what forms may leave counts.
     """
 
     def allowed(refit: Refit) -> float:
+        if floor:
+            return SETTINGS.close * healthy
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-        share = SETTINGS.close if floor else SETTINGS.unrepeated
-        return share * (healthy + SETTINGS.form * max(inexact * base.cost, level))
+        return SETTINGS.unrepeated * (healthy + SETTINGS.form * max(inexact * base.cost, level))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
     return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))
