@@ -79,8 +79,10 @@ def refitted_sets(
     points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
     base = better_base(search, base, points, lowest([base, *refits]).cost)
     best = lowest([base, *refits])
-    replaced = {frozenset(best.effects)}  # sets whose rivals were tried
-    refits = best_by_set([*refits, *rival_refits(search, best, refits)])
+    replaced: set[frozenset[str]] = set()  # sets whose rivals were tried
+    if _helps(search, base, best):
+        replaced.add(frozenset(best.effects))
+        refits = best_by_set([*refits, *rival_refits(search, best, refits)])
     base, refits = started_again(search, *refined(search, base, refits), allowed)
     best = lowest([base, *refits])
     worth = _explains(base, best)
@@ -93,6 +95,8 @@ def refitted_sets(
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
         worth = _explains(base, best)
+    if floor and lacking(best, refits) and not _helps(search, base, best):
+        return base, refits  # nothing explains what is missing, so that nothing beside it does
     for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
         same = [r for r in refits if len(r.effects) == size]
         if not (worth and same and lacking(best, refits)):
@@ -374,4 +378,14 @@ def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Re
 
 def _explains(before: Refit, after: Refit) -> bool:
     """Whether an added effect explains enough to continue from."""
-    return before.cost - after.cost >= max(SETTINGS.material, SETTINGS.worthwhile * (before.cost - 1.0))
+    return _falls(before.cost, after.cost)
+
+
+def _helps(search: Search, before: Refit, after: Refit) -> bool:
+    """The same, or enough of the worst signal; always if nothing is to be given up."""
+    worst = (worst_floors(r.residuals, search.signal) for r in (before, after))
+    return search.exhaustive or _explains(before, after) or _falls(*worst)
+
+
+def _falls(before: float, after: float) -> bool:
+    return before - after >= max(SETTINGS.material, SETTINGS.worthwhile * (before - 1.0))
