@@ -161,8 +161,7 @@ def _in_valleys(search: Search, points: Sequence[Array], first: bool) -> list[Re
     Args:
         first: nothing was refitted before; then the noise floor is settled, too.
     """
-    size = len(search.library.base)
-    starts = [np.concatenate([point[:size], search.start[size:]]) for point in points]
+    starts = [search.library.with_base(search.start, point) for point in points]
     if len(starts) > 1:
         finer = best_valleys(search, starts)
     else:
@@ -294,7 +293,7 @@ def better_base(search: Search, base: Refit, points: Sequence[Array], best: floa
             only if it is clearly deeper.
     """
     size = len(search.library.base)
-    starts = [np.concatenate([point[:size], search.start[size:]]) for point in points] if size else []
+    starts = [search.library.with_base(search.start, point) for point in points] if size else []
     span = search.spans[:size]
     apart = STANDS * max(1.0, base.objective)
     near = base.cost < HOPELESS * max(1.0, best)

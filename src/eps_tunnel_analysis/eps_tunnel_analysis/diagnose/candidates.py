@@ -111,6 +111,11 @@ class Library:
                 return candidate
         raise InputError(unknown_name("candidate", name, [c.name for c in self.candidates]))
 
+    def with_base(self, values: Array, base: Array) -> Array:
+        """(K,) values, but with the base's of others (B,), or of those that begin with them."""
+        size = len(self.base)
+        return np.concatenate([base[:size], values[size:]])
+
     def of(self, names: Iterable[str]) -> tuple[Candidate, ...]:
         """The candidates of these names, in their order."""
         return tuple(self.find(name) for name in names)

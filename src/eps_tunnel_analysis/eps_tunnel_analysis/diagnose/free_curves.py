@@ -44,10 +44,9 @@ def free_curves(
     Returns:
         A search over the curves, and the refits, best first.
     """
-    size = len(search.library.base)
     fitted = dict(zip(search.library.base, map(float, base.values), strict=False))
     curves = search.over(_library(model, fitted, plays, part))
-    start = np.concatenate([base.values[:size], curves.start[size:]])
+    start = curves.library.with_base(curves.start, base.values)
     alone = curves.at(start, replace(base, effects=(), steps=None))
     promised = sorted((_promised(curves, alone, c), c.name) for c in curves.library.candidates)
     chosen = curves.library.of(name for _, name in promised[:DESCENDED])

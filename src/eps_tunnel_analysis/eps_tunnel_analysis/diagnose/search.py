@@ -285,9 +285,8 @@ class Search:
         """(K,) values of those refits whose base deviates from what the model states, fitted again from the stated
         values, with those held for which an expectation is stated.
         """
-        size = len(self.library.base)
         jobs = [
-            (self.library.of(r.effects), np.concatenate([self.start[:size], r.values[size:]]))
+            (self.library.of(r.effects), self.library.with_base(r.values, self.start))
             for r in refits
             if self.strain(r.values) >= SETTINGS.strained
         ]

@@ -152,14 +152,9 @@ def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     near = best_by_set([*near, *again])
     if len(near) > 1:
         others = [near[1] if r is near[0] else near[0] for r in near]
-        again += _gone_on(search, near, [_with_drive_of(search, *pair) for pair in zip(others, near, strict=True)])
+        moved = [search.library.with_base(r.values, other.values) for other, r in zip(others, near, strict=True)]
+        again += _gone_on(search, near, moved)
     return base_and_sets([base, *refits, *again])
-
-
-def _with_drive_of(search: Search, other: Refit, refit: Refit) -> Array:
-    """(K,) values of a refit, but with another one's base values."""
-    size = len(search.library.base)
-    return np.concatenate([other.values[:size], refit.values[size:]])
 
 
 def _gone_on(search: Search, refits: Sequence[Refit], points: Sequence[Array]) -> list[Refit]:
@@ -282,7 +277,7 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
         jobs += [(search.library.of(refit.effects), point) for point in points]
     again = best_by_set([*refits, *(search.best_of(jobs, ROUNDS) if jobs else [])])
     near = [r for r in again[1:] if size and r.cost < NEAR_BEST * again[0].cost]
-    beside = [_with_drive_of(search, again[0], r) for r in near]
+    beside = [search.library.with_base(r.values, again[0].values) for r in near]
     named = [search.library.of(r.effects) for r in near]
     return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
 
