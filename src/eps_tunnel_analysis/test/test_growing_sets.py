@@ -178,6 +178,29 @@ def test_a_rival_that_promises_no_more_than_what_is_given_up_leaves_is_not_fitte
     assert bool(tried) is fitted
 
 
+@pytest.mark.parametrize(
+    ("cost", "exhaustive", "goes_on"), [(9.0, False, False), (9.0, True, True), (5.0, False, True)]
+)
+def test_where_nothing_explains_what_is_missing_nothing_is_tried_beside_it(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, cost: float, exhaustive: bool, goes_on: bool
+) -> None:
+    replaced: list[tuple[str, ...]] = []
+    rested: list[Refit] = []
+
+    def at_rest(_: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, Sequence[Refit]]:
+        rested.append(base)
+        return base, refits
+
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    told(monkeypatch, next_refits=lambda *_, **__: [found(cost, FRICTION)], event_refits=lambda *_: [], settled=at_rest,
+         rival_refits=lambda _, best, __: replaced.append(best.effects) or [])  # fmt: skip
+    refitted_sets(search, found(10.0))
+    assert bool(replaced) is bool(rested) is goes_on
+    rested.clear()
+    refitted_sets(search, found(10.0), floor=False)
+    assert rested, "of single trials, what explains a little may be all"
+
+
 def test_what_a_change_promises_is_what_its_best_share_leaves() -> None:
     left = with_best_share(np.array([1.0, 2.0]), np.array([[-1.0, 0.0], [-2.0, 0.0], [1.0, 0.0], [0.0, -0.5]]))
     assert left == pytest.approx([4.0, 4.0, 5.0, 3.25])
