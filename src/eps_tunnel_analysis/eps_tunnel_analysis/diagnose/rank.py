@@ -194,7 +194,8 @@ def rank(
         level: floors that the base left before effects were added in earlier steps.
         drifts: whether the rig drifts from trial to trial, which means that something is missing in any case.
         floor: whether the noise floor is known. If not, the base is one hypothesis among the others, in units of what
-            the best leaves; if that is also likeliest, but lies far beyond the sensors' noise, something is unknown.
+            the best leaves; whichever is likeliest, if it leaves far more than the sensors' noise, and an effect than
+            its form may leave, something is unknown.
         signals: (R,) number of each one's signal. The worst signal decides whether anything is left, because
             others with a wide floor would hide it; without `signals`, all samples together.
         asked: (R,) samples that decide whether anything is left; all by default. What explains it is judged by all in
@@ -225,6 +226,9 @@ def rank(
     if not floor:
         beyond = _above(worst[:, 0] * unit, SETTINGS.unrepeated * SETTINGS.healthy)
         none, unknown = none * (1.0 - beyond), none * beyond
+        formed = _kept(hypotheses) * max(left[0] * unit - 1.0, level - 1.0, 0.0)
+        more = _above(left[1:first] * unit, SETTINGS.unrepeated * (SETTINGS.healthy + SETTINGS.form * formed))
+        shares, unknown = shares * (1.0 - more), unknown + (shares * more).sum(axis=1)
     lacking = SETTINGS.odd if drifts else 0.0
     unknown_total = float(np.mean(unknown)) * (1.0 - lacking) + lacking
     ranked = [
@@ -332,7 +336,7 @@ def _probabilities(
     known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # because no form is exact
     before = np.maximum(base, level)
     beyond_noise = np.maximum(before - 1.0, 0.0)
-    kept = np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])  # of what the form may leave
+    kept = _kept(hypotheses)
     noise = np.minimum(costs.min(axis=1, keepdims=True), 1.0) if floor else np.ones((len(costs), 1))
     scores = -0.5 * worth * _surprise(costs[:, 1:] / known[:, None])
     scores -= 0.5 * _of_forms(hypotheses, costs[:, 1:] / noise, worth)
@@ -370,6 +374,11 @@ def _probabilities(
     explained = (1.0 - beyond) * (1.0 - formless)
     named = shares * explained * (1.0 - none)[:, None]
     return none, named, 1.0 - none - named.sum(axis=1)
+
+
+def _kept(hypotheses: Sequence[Hypothesis]) -> Array:
+    """(h,) how much of what its form may leave each hypothesis may."""
+    return np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])
 
 
 def _gain(before: Array, after: Array) -> Array:
