@@ -112,7 +112,7 @@ class Library:
         raise InputError(unknown_name("candidate", name, [c.name for c in self.candidates]))
 
     def with_base(self, values: Array, base: Array) -> Array:
-        """(K,) values, but with the base's of others (B,), or of those that begin with them."""
+        """(K,) values, but with another's base values: the first of `base`, (B,) or (K,)."""
         size = len(self.base)
         return np.concatenate([base[:size], values[size:]])
 

@@ -31,8 +31,8 @@ class DiagnosisSettings:
     healthy: floors of the worst signal; above this something is missing if an effect explains it, and above two
         widths more if none does. Chosen: between what a healthy rig of other physics than the
         model's leaves (1.0 to 1.4) and what counts as visible (3).
-    unrepeated: times `healthy`, where no trial is repeated and the rig's own spread is unknown. Chosen: a rig whose
-        trials differ as much as the sensors' noise.
+    unrepeated: times `healthy`, and times what a form may leave, where no trial is repeated and the rig's own spread is
+        unknown. Chosen: a rig whose trials differ as much as the sensors' noise.
     close: times `healthy`; below this no further effect is tried. Chosen: a quarter less, as a further effect may have
         to be ruled out.
     form: share of the base's misfit that the right effect may leave, because no form of it is exact. Measured on
@@ -42,7 +42,8 @@ class DiagnosisSettings:
         Chosen: what explains less is no start.
     exact: the part of `form` and `share` that is kept for effects that occur in one form only. Chosen: what steps
         and stamps leave of a delay.
-    share: of the base's misfit that one more effect must explain. Chosen as `form`, as less may be the first's form.
+    share: of the base's misfit that one more effect must explain, unless it takes what is left to the noise. Chosen as
+        `form`, as less may be the first's form.
     curve: share of what a free curve explains that the named effect may miss. Measured as `form`, with room for what a
         curve fits in addition.
     width: of the soft transitions of the above, in logarithms. Chosen: a factor of 1.35 takes odds from 1:10 to 10:1.
