@@ -340,15 +340,6 @@ def test_what_is_sure_but_far_below_the_noise_is_not_named_though_no_trial_was_r
     assert probabilities({(): 2.9, ("a.x",): 1.9}, long, floor=False)["a.x"] > 0.9
 
 
-def test_what_no_effect_explains_is_unknown_though_no_trial_was_repeated() -> None:
-    """Surely better than nothing, and far from all: more than its form and a rig without repeats may leave."""
-    said = partial(probabilities, residuals=smooth_noise(20 * SAMPLES, 0), floor=False)
-    assert said({(): 71.0, ("a.x",): 50.0})[UNKNOWN] > 0.9
-    most = SETTINGS.unrepeated * (SETTINGS.healthy + 70.0 * SETTINGS.form)
-    assert said({(): 71.0, ("a.x",): most})["a.x"] == pytest.approx(0.5, abs=1e-3)
-    assert said({(): 71.0, ("a.x",): 0.6 * most})["a.x"] > 0.9
-
-
 def test_what_an_effect_of_one_form_leaves_is_something_else() -> None:
     """A hundredth of the misfit may be the form of friction; a delay has one form, so there it is a second effect."""
     unit = smooth_noise(SAMPLES, 0, 5)

@@ -2,17 +2,20 @@
 """What tells effects apart that both explain nearly all of a large misfit: an error of a form is a smooth curve."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from rank_cases import FOLDS, SAMPLES, hypothesis
 
-from eps_tunnel_analysis.diagnose.rank import rank
+from eps_tunnel_analysis.diagnose.rank import UNKNOWN, rank
+from eps_tunnel_analysis.diagnose.settings import SETTINGS
 
 
 def probabilities(
-    left: dict[tuple[str, ...], float], contains: tuple[str, str] | None = None, misfit: float = 200.0
-) -> dict[str, float]:
+    left: dict[tuple[str, ...], float], contains: tuple[str, str] | None = None, misfit: float = 200.0,
+    floor: bool = True,
+) -> dict[str, float]:  # fmt: skip
     """Of sets of effects that leave so many floors of `misfit`; the first of `contains` can imitate the second."""
     folds = np.arange(SAMPLES) * FOLDS // SAMPLES
     unit = np.repeat(np.random.default_rng(0).standard_normal(SAMPLES // 10), 10)
@@ -22,7 +25,7 @@ def probabilities(
         general, simple = contains
         sets = [replace(s, contains=(frozenset({simple}),)) if s.refit.effects == (general,) else s for s in sets]
     base = hypothesis((), np.sqrt(misfit) * unit, free=3)
-    return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), tried=10).probabilities
+    return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), tried=10, floor=floor).probabilities
 
 
 @pytest.mark.parametrize("noise", [0.4, 0.8])
@@ -39,8 +42,22 @@ def test_beyond_that_a_form_s_error_counts_by_its_size_and_not_by_every_sample()
 
 
 def test_what_another_effect_takes_away_may_be_the_first_one_s_form() -> None:
-    found = probabilities({("right.x",): 3.0, ("right.x", "more.x"): 0.9})
+    found = probabilities({("right.x",): 3.0, ("right.x", "more.x"): 2.2})
     assert found["right.x"] > 0.9
+
+
+def test_what_another_effect_takes_to_the_noise_is_no_form() -> None:
+    found = probabilities({("right.x",): 5.0, ("right.x", "more.x"): 0.9})
+    assert found["more.x + right.x"] > 0.9
+
+
+def test_what_no_effect_explains_is_unknown_though_no_trial_was_repeated() -> None:
+    """Surely better than nothing, and far from all: more than its form and a rig without repeats may leave."""
+    said = partial(probabilities, misfit=71.0, floor=False)
+    assert said({("a.x",): 50.0})[UNKNOWN] > 0.9
+    most = SETTINGS.unrepeated * (SETTINGS.healthy + 70.0 * SETTINGS.form)
+    assert said({("a.x",): most})["a.x"] == pytest.approx(0.5, abs=1e-3)
+    assert said({("a.x",): 0.6 * most})["a.x"] > 0.9
 
 
 def test_what_a_general_form_takes_away_may_be_the_simple_one_s_form() -> None:
