@@ -100,7 +100,7 @@ def _fitted(
     part, roughly = part_roughly
     search = axis_search(*bases.among(model, plays, part), part, replace(run, only=()))
     refit = base_refit(search, bases.known(part), roughly)
-    values = dict(zip(search.library.base, (float(v) for v in refit.values), strict=False))
+    values = search.library.base_of(refit.values)
     return Bases(values, search.evaluations, {part.name: refit.cost})
 
 
@@ -120,8 +120,7 @@ def base_refit(
     if known is None:
         points = base_starts(search, search.start, BASE_STARTS)
     else:
-        points = [search.start.copy()]
-        points[0][: len(search.library.base)] = [known[name] for name in search.library.base]
+        points = [search.library.with_base(search.start, np.array([known[name] for name in search.library.base]))]
     if roughly:
         return _in_valleys(search, points, first=True)[0]
     refit = base_from(search, points, first=True)

@@ -111,6 +111,10 @@ class Library:
                 return candidate
         raise InputError(unknown_name("candidate", name, [c.name for c in self.candidates]))
 
+    def base_of(self, values: Array) -> dict[str, float]:
+        """Full name -> value of the base, of values (K,)."""
+        return dict(zip(self.base, map(float, values), strict=False))
+
     def with_base(self, values: Array, base: Array) -> Array:
         """(K,) values, but with another's base values: the first of `base`, (B,) or (K,)."""
         size = len(self.base)

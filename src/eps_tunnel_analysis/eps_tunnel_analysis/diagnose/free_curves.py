@@ -44,7 +44,7 @@ def free_curves(
     Returns:
         A search over the curves, and the refits, best first.
     """
-    fitted = dict(zip(search.library.base, map(float, base.values), strict=False))
+    fitted = search.library.base_of(base.values)
     curves = search.over(_library(model, fitted, plays, part))
     start = curves.library.with_base(curves.start, base.values)
     alone = curves.at(start, replace(base, effects=(), steps=None))

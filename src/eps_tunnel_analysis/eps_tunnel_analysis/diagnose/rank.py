@@ -450,9 +450,9 @@ def _between_forms(
     """Scores (d, h) of general and of simple forms of the same effects, by what they leave on the worst signal.
 
     Where the general one leaves no more than a healthy rig does, and the simple one more, the simple one is lowered as
-    far as the noise says. Elsewhere the general one is
-    no better than the simple one, unless it explains materially more; then the number of their values decides. With the
-    values at their bounds that it has beyond the simple one, it is that one, and counts only for what it explains more.
+    far as the noise says. Elsewhere the general one is no better than the simple one, unless it explains materially
+    more; then the number of their values decides. With the values at their bounds that it has beyond the simple one, it
+    is that one, and counts only for what it explains more.
     """
     capped, completes = scores.copy(), {}
     for i, j in _forms(hypotheses):

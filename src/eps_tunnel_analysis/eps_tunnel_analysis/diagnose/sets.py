@@ -125,9 +125,9 @@ def refitted_sets(
     return base, refits
 
 
-def _complete(search: Search, base: Refit, allowed: float) -> bool:
-    """Whether the base leaves too little for an effect to be looked for; `allowed` floors count as nothing missing."""
-    return worst_floors(base.residuals, search.signal) <= SETTINGS.close * allowed
+def _complete(search: Search, refit: Refit, allowed: float) -> bool:
+    """Whether a refit leaves too little for more to be looked for; `allowed` floors count as nothing missing."""
+    return worst_floors(refit.residuals, search.signal) <= SETTINGS.close * allowed
 
 
 def _rested(search: Search, base: Refit, allowed: float) -> Refit:
@@ -175,11 +175,16 @@ def refined(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     if not (search.levels["fine"].extrapolate and search.refine_at(best.values)):
         return base, list(refits)
     near = [r for r in refits if r.cost < NEAR_BEST * max(best.cost, 1.0)]
-    jobs = [(search.library.of(r.effects), r.values) for r in (base, *near)]
-    again = search.judged(jobs, ROUNDS)
-    search.settle_at(again[0])
-    judged = {old.effects: replace(new, converged=old.converged) for old, new in zip(near, again[1:], strict=True)}
-    return again[0], best_by_set([judged.get(r.effects, r) for r in refits])
+    base, *again = _judged_again(search, [base, *near])
+    search.settle_at(base)
+    judged = {r.effects: r for r in again}
+    return base, best_by_set([judged.get(r.effects, r) for r in refits])
+
+
+def _judged_again(search: Search, refits: Sequence[Refit]) -> list[Refit]:
+    """Refits judged again from where they are."""
+    again = search.judged([(search.library.of(r.effects), r.values) for r in refits], ROUNDS)
+    return [replace(new, converged=old.converged) for old, new in zip(refits, again, strict=True)]
 
 
 def started_again(search: Search, base: Refit, refits: Sequence[Refit], allowed: float) -> tuple[Refit, list[Refit]]:
@@ -187,7 +192,7 @@ def started_again(search: Search, base: Refit, refits: Sequence[Refit], allowed:
     `allowed` floors: while an effect is missing, its misfit hides that of the pose.
     """
     best, joints = lowest([base, *refits]), sensed_joints(search)
-    if not best.effects or not joints or worst_floors(best.residuals, search.signal) <= SETTINGS.close * allowed:
+    if not best.effects or not joints or _complete(search, best, allowed):
         return base, list(refits)
     search.settle_start(best, joints)
     every = [base, *refits]
@@ -196,9 +201,7 @@ def started_again(search: Search, base: Refit, refits: Sequence[Refit], allowed:
     best = lowest([base, *refits])
     search.settle_at(best)
     near = [r for r in (base, *refits) if r.cost < NEAR_BEST * max(best.cost, 1.0)]
-    again = search.judged([(search.library.of(r.effects), r.values) for r in near], ROUNDS)
-    again = [replace(new, converged=old.converged) for old, new in zip(near, again, strict=True)]
-    return base_and_sets([base, *refits, *again])
+    return base_and_sets([base, *refits, *_judged_again(search, near)])
 
 
 def next_refits(

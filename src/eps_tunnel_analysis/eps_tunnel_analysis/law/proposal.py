@@ -314,7 +314,7 @@ def propose(
     run = SearchOptions((), nthread)
     every = dictionaries(design, positions)
     words = {acts: (place, terms) for acts, place, terms in every}
-    stated = dict(zip(beside.search.library.base, map(float, beside.search.start), strict=False)) if beside else {}
+    stated = beside.search.library.base_of(beside.search.start) if beside else {}
 
     def attempts(laws: Iterable[Formula], way: Dependence) -> list[_Attempt]:
         refitted = (_formula_refitted(law, way, model, plays, part, run, stated) for law in laws)
