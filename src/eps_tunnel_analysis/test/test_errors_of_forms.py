@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rank_cases import FOLDS, SAMPLES, hypothesis
 
-from eps_tunnel_analysis.diagnose.rank import UNKNOWN, rank
+from eps_tunnel_analysis.diagnose.rank import UNKNOWN, rank, with_form
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 
 
@@ -58,6 +58,25 @@ def test_what_no_effect_explains_is_unknown_though_no_trial_was_repeated() -> No
     most = SETTINGS.unrepeated * (SETTINGS.healthy + 70.0 * SETTINGS.form)
     assert said({("a.x",): most})["a.x"] == pytest.approx(0.5, abs=1e-3)
     assert said({("a.x",): 0.6 * most})["a.x"] > 0.9
+
+
+@pytest.mark.parametrize("floor", [True, False])
+def test_an_effect_of_one_form_may_leave_what_the_form_of_an_effect_added_before_it_leaves(floor: bool) -> None:
+    kept = np.array([SETTINGS.exact])
+    most = (1.0 if floor else SETTINGS.unrepeated) * float(with_form(kept, 12.0, 171.0)[0])
+    assert most > 10.0 and with_form(kept, 12.0, 0.0)[0] < 2.0
+
+    folds = np.arange(SAMPLES) * FOLDS // SAMPLES
+    noise = np.random.default_rng(0).standard_normal(SAMPLES)
+    noise /= np.sqrt(np.bincount(folds, noise**2) / np.bincount(folds))[folds]
+    late = replace(hypothesis(("delay.x",), np.sqrt(0.5 * most) * noise), inexact=0.0)
+    base = hypothesis((), np.sqrt(4.0 * most) * noise)
+    within, first = (
+        rank(base, [late], folds, np.zeros(SAMPLES, dtype=np.int64), tried=10, floor=floor, level=level).probabilities
+        for level in (171.0, 0.0)
+    )
+    assert within["delay.x"] > 0.9
+    assert first[UNKNOWN] > 0.5
 
 
 def test_what_a_general_form_takes_away_may_be_the_simple_one_s_form() -> None:

@@ -226,8 +226,8 @@ def rank(
     if not floor:
         beyond = _above(worst[:, 0] * unit, SETTINGS.unrepeated * SETTINGS.healthy)
         none, unknown = none * (1.0 - beyond), none * beyond
-        formed = _kept(hypotheses) * max(left[0] * unit - 1.0, level - 1.0, 0.0)
-        more = _above(left[1:first] * unit, SETTINGS.unrepeated * (SETTINGS.healthy + SETTINGS.form * formed))
+        allowed = SETTINGS.unrepeated * with_form(_kept(hypotheses), left[0] * unit, level)
+        more = _above(left[1:first] * unit, allowed)
         shares, unknown = shares * (1.0 - more), unknown + (shares * more).sum(axis=1)
     lacking = SETTINGS.odd if drifts else 0.0
     unknown_total = float(np.mean(unknown)) * (1.0 - lacking) + lacking
@@ -366,14 +366,26 @@ def _probabilities(
     # A sum of effects may leave nothing for its forms where one curve does without: it may only imitate that one.
     several = np.array([h.refit.several for h in hypotheses])
     enough = 1.0 - _above(curve, SETTINGS.healthy)
-    formed = kept * np.maximum(base - 1.0, 0.0)[:, None] * np.where(several, 1.0 - enough[:, None], 1.0)
-    formed = np.maximum(formed, np.maximum(level - 1.0, 0.0))
-    beyond = _above(left, SETTINGS.healthy + SETTINGS.form * formed)
+    kept = kept * np.where(several, 1.0 - enough[:, None], 1.0)
+    beyond = _above(left, with_form(kept, base[:, None], level))
     excess = (remaining - curve[:, None]) / _curve_room(before, curve)[:, None]
     formless = _above(excess, 1.0)
     explained = (1.0 - beyond) * (1.0 - formless)
     named = shares * explained * (1.0 - none)[:, None]
     return none, named, 1.0 - none - named.sum(axis=1)
+
+
+def with_form(kept: Array | float, base: Array | float, level: float, healthy: float = SETTINGS.healthy) -> Array:
+    """Floors of the worst signal that a set of effects may leave, because no form of an effect is exact.
+
+    Args:
+        kept: how much of what a form may leave it may.
+        base: floors that the base leaves.
+        level: floors that the base left before effects were added in earlier steps.
+        healthy: floors that count as nothing missing.
+    """
+    missing = np.maximum(np.asarray(base) - 1.0, 0.0)
+    return np.asarray(healthy + SETTINGS.form * np.maximum(kept * missing, max(level - 1.0, 0.0)))
 
 
 def _kept(hypotheses: Sequence[Hypothesis]) -> Array:

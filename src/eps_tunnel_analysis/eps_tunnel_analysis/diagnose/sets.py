@@ -21,7 +21,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     without,
 )
 from eps_tunnel_analysis.diagnose.guided import event_refits
-from eps_tunnel_analysis.diagnose.rank import worst_floors
+from eps_tunnel_analysis.diagnose.rank import with_form, worst_floors
 from eps_tunnel_analysis.diagnose.refits import (
     Job,
     Refit,
@@ -351,11 +351,13 @@ def lacks_more(
     trials, only a misfit far beyond the sensors' noise and beyond what forms may leave counts.
     """
 
+    before = worst_floors(base.residuals, search.signal)
+
     def allowed(refit: Refit) -> float:
         if floor:
             return SETTINGS.close * healthy
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-        return SETTINGS.unrepeated * (healthy + SETTINGS.form * max(inexact * base.cost, level))
+        return SETTINGS.unrepeated * float(with_form(inexact, before, level, healthy))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
     return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))
