@@ -250,18 +250,25 @@ def hold(stamps: NDArray[np.int64], values: Array, grid: NDArray[np.int64], max_
         max_hold: s; None holds for ever.
     """
     out = np.full(len(grid), np.nan)
-    if not len(stamps):
+    if not len(stamps) or not len(grid):
         return out
     last = np.searchsorted(stamps, grid, side="right") - 1
     seen = last >= 0
     out[seen] = values[last[seen]]
-    period = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
-    if max_hold is not None and 0 < period <= max_hold * 1e9:
-        silence = np.append(np.diff(stamps), np.iinfo(np.int64).max)  # after each command, until the next
-        silence[-1] = max(int(grid[-1] - stamps[-1]), 0)
-        off = seen & (silence[last] > max_hold * 1e9) & (grid - stamps[last] > period)
-        out[off] = np.nan
+    period, silent = _silences(stamps, int(grid[-1]), None if max_hold is None else max_hold * 1e9)
+    out[seen & silent[last] & (grid - stamps[last] > period)] = np.nan
     return out
+
+
+def _silences(times: NDArray[np.int64] | Array, end: float, longest: float | None) -> tuple[float, NDArray[np.bool_]]:
+    """The usual period of a stream of commands at times (n,), and after which of them (n,) it is silent for longer than
+    `longest`; after none if that is None or the usual period is longer. All in one unit of time.
+    """
+    apart = np.diff(times)
+    period = float(np.median(apart)) if len(apart) else 0.0
+    if longest is None or not 0.0 < period <= longest:
+        return period, np.zeros(len(times), dtype=np.bool_)
+    return period, np.append(apart, end - times[-1]) > longest
 
 
 def switched_off(commands: Series, seconds: float, max_hold: float | None) -> Series:
@@ -276,11 +283,10 @@ def switched_off(commands: Series, seconds: float, max_hold: float | None) -> Se
         seconds: the trial's length.
         max_hold: s; None holds for ever.
     """
-    apart = np.diff(commands.time)
-    period = float(np.median(apart)) if len(apart) else 0.0
-    if max_hold is None or not 0.0 < period <= max_hold:
+    period, silences = _silences(commands.time, seconds, max_hold)
+    silent = np.flatnonzero(silences)
+    if not len(silent):
         return commands
-    silent = np.flatnonzero(np.append(apart, seconds - commands.time[-1]) > max_hold)
     time = np.insert(commands.time, silent + 1, commands.time[silent] + period)
     values = np.insert(commands.values, silent + 1, np.nan)
     first = int(np.searchsorted(time, 0.0, side="right"))
