@@ -390,6 +390,8 @@ def test_what_a_form_may_leave_of_a_single_trial_a_rival_of_a_single_form_may_no
     assert not lacks(load, [load, refit(("torque.x",), 9.0)]), "what fits worse says nothing"
     assert not lacks(refit(("load.x", "play.x"), 5.0), [refit(("torque.x",), 5.2)]), "one of fewer"
     assert lacks_more(search, base, load, [load]), "with a known floor, more may take the rest to the noise"
+    noise = refit(("load.x",), 1.1)
+    assert not lacks_more(search, base, noise, [noise, refit(("torque.x",), 1.4)]), "nor does a worse rival matter then"
 
 
 def test_an_effect_that_fits_better_with_the_values_of_a_pair_starts_again_there() -> None:

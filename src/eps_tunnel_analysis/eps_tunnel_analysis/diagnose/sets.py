@@ -345,17 +345,17 @@ def lacks_more(
     search: Search, base: Refit, best: Refit, refits: Sequence[Refit], healthy: float = SETTINGS.healthy,
     level: float = 0.0, floor: bool = True,
 ) -> bool:  # fmt: skip
-    """Whether the best of some refits, or a rival that fits as well, leaves so much that more may be missing.
+    """Whether the best of some refits leaves so much that more may be missing.
 
     What an effect leaves for its form no further one takes to the noise, which only a search shows. Without repeated
-    trials, only a misfit far beyond the sensors' noise and beyond what forms may leave counts.
+    trials, only a misfit far beyond the sensors' noise and beyond what forms may leave counts; of a rival that fits as
+    well, too, whose form may leave less.
     """
-
+    if floor:
+        return worst_floors(best.residuals, search.signal) > SETTINGS.close * healthy
     before = worst_floors(base.residuals, search.signal)
 
     def allowed(refit: Refit) -> float:
-        if floor:
-            return SETTINGS.close * healthy
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
         return SETTINGS.unrepeated * float(with_form(inexact, before, level, healthy))
 
