@@ -574,7 +574,7 @@ def _refitted(
         given = [numbers.get(name, value) for name, value in zip(lib.names, search.start, strict=True)]
         return np.clip(given, search.low, search.high)
 
-    points = [begun(start), *([begun({**stated, **start})] if stated else [])]
+    points = np.unique([begun(start), begun({**stated, **start})], axis=0)
     refit = lowest(search.refit([((own,), values) for values in points], LAW_ROUNDS, "fine"))
     columns = search.fitted(refit)
     slopes = search.jacobian(refit)
