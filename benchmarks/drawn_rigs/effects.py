@@ -442,7 +442,7 @@ CONTAINED_BY = {
     "coulomb_friction": ("stribeck_friction", "lugre_friction"),  # of a high speed; of short bristles
     "rate_limit": ("motion_profile",),
     "load_friction": ("directional_load_friction",),
-    "torque_saturation": ("supply_sag",),
+    "torque_saturation": ("supply_sag", "duty_cut_back"),  # of a bound that is also the share
     "sensor_delay": ("sensor_lag",),
 }
 """Effects of the library that can be as good as another, so that leaving out one leaves out both."""

@@ -112,5 +112,12 @@ def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
     assert "Nothing is missing on z, 1.1 floors." in said
 
 
+def test_what_is_clear_though_it_acts_in_no_set_alone_has_no_share_of_its_own() -> None:
+    sets = {"backlash.x + gain_error.x": 0.95, "backlash.x + sensor_bias.x": 0.9, "gain_error.x": 0.99}
+    part = axis(80.0, 2.0, sets, 0.02, backlash_on_x=0.75, gain_error_on_x=0.4)
+    said = sentence("unknown", (), (UNKNOWN,), {UNKNOWN: 0.7}, {"x": part}, Registry.load())
+    assert said.endswith("Backlash (belt slack) on x (75%) is part of every likely set; the best explains 95%.")
+
+
 def test_names_do_not_depend_on_the_order_in_which_effects_were_added() -> None:
     assert name_of(["b.y", "a.x"]) == name_of(["a.x", "b.y"]) == "a.x + b.y"

@@ -15,6 +15,7 @@ from eps_tunnel_analysis.diagnose.rank import (
     UNKNOWN,
     Ranked,
     itself,
+    name_of,
     ordered,
     smallest_set,
 )
@@ -238,9 +239,14 @@ def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
     before, _ = verdict.floors
     clear = [name for name, p in verdict.marginals.items() if p >= itself(SETTINGS.clear, 1)]
     if clear:
-        share = verdict.explained.get(" + ".join(sorted(clear)), verdict.explained.get(clear[0], (0.0, 0.0, 0.0)))[0]
         named = " and ".join(f"{in_words(name, registry)} ({percent(verdict.marginals[name])})" for name in clear)
-        return f"{named[0].upper()}{named[1:]} explains {share:.0%} of what the model leaves there."
+        start, alone = f"{named[0].upper()}{named[1:]}", verdict.explained.get(name_of(clear))
+        if alone:
+            explain = "explains" if len(clear) == 1 else "explain"
+            return f"{start} {explain} {percent(alone[0])} of what the model leaves there."
+        shares = (share for name, (share, _, _) in verdict.explained.items() if set(clear) <= set(name.split(" + ")))
+        part = "is part" if len(clear) == 1 else "are part"
+        return f"{start} {part} of every likely set; the best explains {percent(max(shares, default=0.0))}."
     most = max(verdict.explained.items(), key=lambda item: item[1][0], default=None)
     if verdict.unknown > 0.5 and most and most[1][0] >= SETTINGS.worth_stating:
         return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {shown_number(before)} floors."

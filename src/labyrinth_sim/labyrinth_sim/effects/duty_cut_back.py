@@ -105,6 +105,11 @@ EFFECT = Effect(
         "command_delay",
         "load_friction",
     ),
+    contains=(
+        ("share", "torque_saturation", "share"),
+        ("bound", "torque_saturation", "share"),
+        ("time", "torque_saturation", 0.0),
+    ),
     separated_by="Steps of growing size under load: saturation slows all large ones alike, the cut-back makes those "
     "beyond its bound slower than those just below.",
     touches=("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange"),
