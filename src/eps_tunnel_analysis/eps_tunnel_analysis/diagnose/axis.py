@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one axis lacks: its sets of effects, refitted and ranked."""
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -160,9 +161,15 @@ def _uneven(ranking: Ranking) -> Ranking:
 
 
 def near_hypotheses(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Hypothesis]:
-    """The refits that are ranked: the best, and those close to it."""
-    near = sorted(refits, key=lambda r: r.cost)
-    near = [r for i, r in enumerate(near) if i < 4 or r.cost < RUNNING * max(near[0].cost, 1.0)][:10]
+    """The refits that are ranked: the best, those close to it, and for each of these the best one of fewer of its
+    effects: without that, nothing would show whether the others are needed.
+    """
+    ordered = sorted(refits, key=lambda r: r.cost)
+    near = [r for i, r in enumerate(ordered) if i < 4 or r.cost < RUNNING * max(ordered[0].cost, 1.0)][:10]
+    for larger in tuple(near):
+        for size in range(1, len(larger.effects)):
+            fewer = (r for r in ordered if len(r.effects) == size and set(r.effects) < set(larger.effects))
+            near += [r for r in itertools.islice(fewer, 1) if all(r is not other for other in near)]
     return [
         replace(
             hypothesis(search, r, [o for o in near if o is not r and contained(search, r, o) is not None]),

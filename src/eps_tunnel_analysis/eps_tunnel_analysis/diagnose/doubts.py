@@ -5,7 +5,7 @@ A score test shows which are worth a refit: how much of the misfit vanishes alon
 half the value, beyond what the base values explain. Also notes on what a diagnosis could not know from the recordings.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,13 @@ from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search
 from eps_tunnel_analysis.diagnose.ball import sees_ball
 from eps_tunnel_analysis.diagnose.base_values import base_from
+from eps_tunnel_analysis.diagnose.contained import contained
+from eps_tunnel_analysis.diagnose.rank import name_of
 from eps_tunnel_analysis.diagnose.search import directions
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import in_words
 from eps_tunnel_analysis.fit.problem import by_axis
-from eps_tunnel_analysis.outputs import shown_times
+from eps_tunnel_analysis.outputs import shown_number, shown_times
 from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
 from labyrinth_sim.prescribed import prescribed
@@ -165,10 +167,8 @@ def notes_of(
         poor = [r.effects for r in axis.refits if r.effects and not r.converged and r.cost < 2.0 * axis.best.cost]
         if poor:
             names = ", ".join(" + ".join(effects) for effects in poor[:3])
-            title = axis.part.title
-            notes.append(
-                f"{title[0].upper()}{title[1:]}: the fit of {names} has not converged; its probability may be too low."
-            )
+            notes.append(f"{_start(axis)}: the fit of {names} has not converged; its probability may be too low.")
+        notes += _not_needed(axis)
         if axis.ranking.unknown_but:
             curve = in_words(axis.ranking.unknown_but, model.registry).replace("free curve: ", "")
             notes.append(
@@ -185,3 +185,22 @@ def notes_of(
             if len(joints[0]) < len(joints[1]):
                 notes.append(f"Axis {own.name} has only one position: effects between motor and load are uncertain.")
     return tuple(notes)
+
+
+def _not_needed(axis: AxisDiagnosis) -> Iterator[str]:
+    """What the best set leaves and one of more effects would take away, if that is worth a look."""
+    search, best = axis.search, axis.best
+    larger = [r for r in axis.refits if best.effects and len(r.effects) > len(best.effects)
+              and contained(search, r, best) is not None]  # fmt: skip
+    more = min(larger, key=lambda r: r.cost, default=None)
+    if more and best.cost - more.cost >= max(SETTINGS.material, SETTINGS.worthwhile * (best.cost - 1.0)):
+        yield (
+            f"{_start(axis)}: {name_of(more.effects)} would leave {shown_number(more.cost)} of the "
+            f"{shown_number(best.cost)} floors that remain with {name_of(best.effects)}. That may only make up for an "
+            "error of its form, so it is not named. To add it all the same: eps-tunnel add-effect."
+        )
+
+
+def _start(axis: AxisDiagnosis) -> str:
+    title = axis.part.title
+    return f"{title[0].upper()}{title[1:]}"
