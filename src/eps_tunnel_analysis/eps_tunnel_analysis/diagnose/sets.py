@@ -357,7 +357,7 @@ def lacks_more(
 
     def allowed(refit: Refit) -> float:
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-        return SETTINGS.unrepeated * float(with_form(inexact, before, level, healthy))
+        return SETTINGS.close * SETTINGS.unrepeated * float(with_form(inexact, before, level, healthy))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
     return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))
