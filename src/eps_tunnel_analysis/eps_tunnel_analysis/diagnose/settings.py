@@ -33,8 +33,8 @@ class DiagnosisSettings:
         model's leaves (1.0 to 1.4) and what counts as visible (3).
     unrepeated: times `healthy`, and times what a form may leave, where no trial is repeated and the rig's own spread is
         unknown. Chosen: a rig whose trials differ as much as the sensors' noise.
-    close: times what may be left, `healthy` or more; below this no further effect is tried. Chosen: a quarter less, as a
-        further effect may have to be ruled out.
+    close: times what may be left, `healthy` or more; below this no further effect is tried. Chosen: a quarter less,
+        as a further effect may have to be ruled out.
     form: share of the base's misfit that the right effect may leave, because no form of it is exact. Measured on
         tuning rigs: right forms leave up to 4 %, wrong ones 8 % and more.
     material: floors that an effect must explain, at least, to be named. Chosen: a third of what is visible.
