@@ -112,6 +112,17 @@ def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
     assert "Nothing is missing on z, 1.1 floors." in said
 
 
+def test_what_forms_of_added_effects_leave_is_not_called_noise() -> None:
+    axes = {"x": axis(74.0, 74.0, {}, 0.0), "y": axis(1.0, 1.0, {}, 0.0)}
+    said = sentence("complete", (), (NONE,), {NONE: 0.98}, axes, Registry.load())
+    assert said == (
+        "Nothing more is named (98%): what is left, 74 floors on x, may be an error of the form of what was added "
+        "before."
+    )
+    said = sentence("complete", (), (NONE,), {NONE: 0.98}, {"x": axis(1.9, 1.9, {}, 0.0)}, Registry.load())
+    assert said == "Nothing is missing within the noise (98%)."
+
+
 def test_what_is_clear_though_it_acts_in_no_set_alone_has_no_share_of_its_own() -> None:
     sets = {"backlash.x + gain_error.x": 0.95, "backlash.x + sensor_bias.x": 0.9, "gain_error.x": 0.99}
     part = axis(80.0, 2.0, sets, 0.02, backlash_on_x=0.75, gain_error_on_x=0.4)

@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from math import exp
 from typing import Any, Literal
 
 from eps_tunnel_analysis.alikeness import Span
@@ -217,6 +218,14 @@ def sentence(
             "what is left is noise."
         )
     if kind == "complete":
+        # More than this is left only beside effects that were added before, as an error of their forms.
+        most = SETTINGS.healthy * exp(2.0 * SETTINGS.width)
+        left = [f"{shown_number(v.floors[0])} floors on {axis}" for axis, v in axes.items() if v.floors[0] > most]
+        if left:
+            return (
+                f"Nothing more is named ({percent(probabilities[NONE])}): what is left, {' and '.join(left)}, may be "
+                "an error of the form of what was added before."
+            )
         return f"Nothing is missing within the noise ({percent(probabilities[NONE])})."
     if kind == "effect":
         sure = percent(probabilities[stated[0]])
