@@ -96,6 +96,19 @@ def test_a_tick_beside_an_effect_is_what_triples_grow_from_where_it_is_the_best_
     assert grown == [(), (FRICTION,), (TICK, WAVES)]
 
 
+def test_triples_grow_only_from_a_pair_that_is_needed_or_leaves_nearly_nothing(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 10,000 floors a further effect may take 3 % for the first one's form, unless it ends at the noise."""
+    for exhaustive, left, tried in ((False, 9.0, 2), (True, 9.0, 3), (False, 2.0, 3)):
+        grown: list[tuple[str, ...]] = []
+        answers = {(): [found(50.0, FRICTION)], (FRICTION,): [found(left, FRICTION, GAIN)]}
+        monkeypatch.setattr(search, "exhaustive", exhaustive)
+        told(monkeypatch, next_refits=growing(grown, answers), event_refits=lambda *_: [])
+        refitted_sets(search, found(10_000.0))
+        assert len(grown) == tried, (exhaustive, left, grown)
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_what_is_best_only_in_the_end_has_rivals_too(
     search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, known: bool

@@ -110,7 +110,7 @@ def refitted_sets(
             more += rival_refits(search, better, [*refits, *more])
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
-        worth = _explains(on, best)
+        worth = _leads_on(search, base, on, best)
     base, refits = nested_refits(search, base, refits)
     for _ in range(most):  # each effect of a set may have been chosen while another was wrong
         best = lowest([base, *refits])
@@ -379,6 +379,15 @@ def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Re
 def _explains(before: Refit, after: Refit) -> bool:
     """Whether an added effect explains enough to continue from."""
     return _falls(before.cost, after.cost)
+
+
+def _leads_on(search: Search, base: Refit, before: Refit, after: Refit) -> bool:
+    """Whether a further effect explains enough to try one more: a good part of what was left, and either so much that
+    it is needed or nearly all. Otherwise one more would be no more needed.
+    """
+    needed = before.cost - after.cost >= SETTINGS.share * (base.cost - 1.0)
+    nearly = worst_floors(after.residuals, search.signal) <= NEAR_COMPLETE * SETTINGS.healthy
+    return _explains(before, after) and (search.exhaustive or needed or nearly)
 
 
 def _helps(search: Search, before: Refit, after: Refit) -> bool:
