@@ -101,7 +101,10 @@ def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
         "x": axis(80.0, 2.0, {"backlash.x": 0.97}, 0.02, backlash_on_x=0.75),
         "y": axis(40.0, 15.0, {"gain_error.y": 0.6}, 0.9, gain_error_on_y=0.1),
         "z": axis(1.1, 1.1, {}, 0.03),
-    }
+        "u": axis(90.0, 5.0, {"load_friction.u": 0.95, "coulomb_friction.u": 0.9}, 0.0,
+                  load_friction_on_u=0.62, coulomb_friction_on_u=0.38),
+        "v": axis(1.3, 1.0, {"gain_error.v": 0.6}, 0.1, gain_error_on_v=0.2),
+    }  # fmt: skip
     said = sentence("unknown", (), (UNKNOWN,), {UNKNOWN: 0.7, OVERLOOKED: 0.2}, axes, Registry.load())
     assert said.startswith(
         "Something is missing that no known effect explains in full (70%), "
@@ -110,6 +113,8 @@ def test_where_the_whole_is_open_each_axis_says_what_is_clear_of_it() -> None:
     assert "Backlash (belt slack) on x (75%) explains 97% of what the model leaves there." in said
     assert "On y gain error on y explains 60% of 40 floors." in said
     assert "Nothing is missing on z, 1.1 floors." in said
+    assert "On u load-dependent friction on u explains 95% of 90 floors." in said
+    assert said.endswith("On v 1.3 floors remain.")
 
 
 def test_what_forms_of_added_effects_leave_is_not_called_noise() -> None:
