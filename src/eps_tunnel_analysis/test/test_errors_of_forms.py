@@ -79,6 +79,19 @@ def test_an_effect_of_one_form_may_leave_what_the_form_of_an_effect_added_before
     assert first[UNKNOWN] > 0.5
 
 
+def test_what_is_explained_of_a_single_trial_is_in_floors_of_its_sensors_too() -> None:
+    """Not in units of what the best leaves, of which it would explain all."""
+    folds = np.arange(SAMPLES) * FOLDS // SAMPLES
+    noise = np.random.default_rng(0).standard_normal(SAMPLES)
+    noise /= np.sqrt(np.mean(noise**2))
+    sets = [hypothesis(("a.x",), np.sqrt(6.0) * noise)]
+    for floor in (True, False):
+        ranked = rank(hypothesis((), np.sqrt(101.0) * noise), sets, folds, np.zeros(SAMPLES, dtype=np.int64), tried=10,
+                      floor=floor).ranked  # fmt: skip
+        (found,) = (r for r in ranked if r.effects)
+        assert found.explained == pytest.approx(0.95, abs=1e-3)
+
+
 def test_what_a_general_form_takes_away_may_be_the_simple_one_s_form() -> None:
     left = {("general.x",): 1.5, ("simple.x",): 1.9}
     assert probabilities(left)["simple.x"] < 0.1

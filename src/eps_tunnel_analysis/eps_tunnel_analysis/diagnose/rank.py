@@ -232,10 +232,10 @@ def rank(
     lacking = SETTINGS.odd if drifts else 0.0
     unknown_total = float(np.mean(unknown)) * (1.0 - lacking) + lacking
     ranked = [
-        _ranked(h, float(np.mean(shares[:, i])) * (1.0 - lacking), base, unit, costs[:, 0], costs[:, 1 + i])
+        _ranked(h, float(np.mean(shares[:, i])) * (1.0 - lacking), costs[:, 0] * unit, costs[:, 1 + i] * unit)
         for i, h in enumerate(hypotheses)
     ]
-    ranked.append(_ranked(base, float(np.mean(none)) * (1.0 - lacking), base, unit, costs[:, 0], costs[:, 0]))
+    ranked.append(_ranked(base, float(np.mean(none)) * (1.0 - lacking), costs[:, 0] * unit, costs[:, 0] * unit))
     ordered = tuple(sorted(ranked, key=lambda r: (-r.probability, r.cost, r.effects)))
     named, curve = (min(some, key=lambda h: h.cost, default=None) for some in (hypotheses, curves))
     better = curve is not None and _nameless(curve, named or base, base, unit)
@@ -249,7 +249,8 @@ def _nameless(curve: Hypothesis, named: Hypothesis, base: Hypothesis, unit: floa
     return bool(named.cost - curve.cost > room or (several and curve.cost <= SETTINGS.healthy * unit < named.cost))
 
 
-def _ranked(h: Hypothesis, probability: float, base: Hypothesis, unit: float, costs0: Array, costs: Array) -> Ranked:
+def _ranked(h: Hypothesis, probability: float, costs0: Array, costs: Array) -> Ranked:
+    """A hypothesis by what the base (d,) and it (d,) leave, in floors."""
     gone = 1.0 - np.maximum(costs - 1.0, 0.0) / np.maximum(costs0 - 1.0, 1e-12)
     gone = np.where(costs0 > 1.0, np.clip(gone, -1.0, 1.0), 0.0) if h.refit.effects else np.zeros(1)
     low, high = (float(q) for q in np.quantile(gone, (0.05, 0.95)))

@@ -258,7 +258,8 @@ def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
         return f"{start} {part} of every likely set; the best explains {percent(max(shares, default=0.0))}."
     most = max(verdict.explained.items(), key=lambda item: item[1][0], default=None)
     if verdict.none < 0.5 and most and most[1][0] >= SETTINGS.worth_stating:
-        return f"On {axis} {_hypothesis(most[0], registry)} explains {most[1][0]:.0%} of {shown_number(before)} floors."
+        share = percent(most[1][0])
+        return f"On {axis} {_hypothesis(most[0], registry)} explains {share} of {shown_number(before)} floors."
     if verdict.none >= SETTINGS.clear:
         return f"Nothing is missing on {axis}, {shown_number(before, 2)} floors."
     return f"On {axis} {shown_number(before)} floors remain."
