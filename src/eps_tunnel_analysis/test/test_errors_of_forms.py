@@ -3,29 +3,36 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from rank_cases import FOLDS, SAMPLES, hypothesis
 
-from eps_tunnel_analysis.diagnose.rank import UNKNOWN, rank, with_form
+from eps_tunnel_analysis.diagnose.rank import UNKNOWN, Ranking, rank, with_form
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 
 
-def probabilities(
+def ranking(
     left: dict[tuple[str, ...], float], contains: tuple[str, str] | None = None, misfit: float = 200.0,
-    floor: bool = True,
-) -> dict[str, float]:  # fmt: skip
+    inexact: float = 1.0, **options: Any,
+) -> Ranking:  # fmt: skip
     """Of sets of effects that leave so many floors of `misfit`; the first of `contains` can imitate the second."""
     folds = np.arange(SAMPLES) * FOLDS // SAMPLES
     unit = np.repeat(np.random.default_rng(0).standard_normal(SAMPLES // 10), 10)
     unit /= np.sqrt(np.bincount(folds, unit**2) / np.bincount(folds))[folds]  # no stretch decides by chance
-    sets = [hypothesis(effects, np.sqrt(cost) * unit, free=4) for effects, cost in left.items()]
+    sets = [
+        replace(hypothesis(effects, np.sqrt(cost) * unit, free=4), inexact=inexact) for effects, cost in left.items()
+    ]
     if contains is not None:
         general, simple = contains
         sets = [replace(s, contains=(frozenset({simple}),)) if s.refit.effects == (general,) else s for s in sets]
     base = hypothesis((), np.sqrt(misfit) * unit, free=3)
-    return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), tried=10, floor=floor).probabilities
+    return rank(base, sets, folds, np.zeros(SAMPLES, dtype=np.int64), tried=10, **options)
+
+
+def probabilities(*args: Any, **options: Any) -> dict[str, float]:
+    return ranking(*args, **options).probabilities
 
 
 @pytest.mark.parametrize("noise", [0.4, 0.8])
@@ -66,29 +73,16 @@ def test_an_effect_of_one_form_may_leave_what_the_form_of_an_effect_added_before
     most = (1.0 if floor else SETTINGS.unrepeated) * float(with_form(kept, 12.0, 171.0)[0])
     assert most > 10.0 and with_form(kept, 12.0, 0.0)[0] < 2.0
 
-    folds = np.arange(SAMPLES) * FOLDS // SAMPLES
-    noise = np.random.default_rng(0).standard_normal(SAMPLES)
-    noise /= np.sqrt(np.bincount(folds, noise**2) / np.bincount(folds))[folds]
-    late = replace(hypothesis(("delay.x",), np.sqrt(0.5 * most) * noise), inexact=0.0)
-    base = hypothesis((), np.sqrt(4.0 * most) * noise)
-    within, first = (
-        rank(base, [late], folds, np.zeros(SAMPLES, dtype=np.int64), tried=10, floor=floor, level=level).probabilities
-        for level in (171.0, 0.0)
-    )
+    said = partial(probabilities, {("delay.x",): 0.5 * most}, misfit=4.0 * most, inexact=0.0, floor=floor)
+    within, first = said(level=171.0), said(level=0.0)
     assert within["delay.x"] > 0.9
     assert first[UNKNOWN] > 0.5
 
 
 def test_what_is_explained_of_a_single_trial_is_in_floors_of_its_sensors_too() -> None:
     """Not in units of what the best leaves, of which it would explain all."""
-    folds = np.arange(SAMPLES) * FOLDS // SAMPLES
-    noise = np.random.default_rng(0).standard_normal(SAMPLES)
-    noise /= np.sqrt(np.mean(noise**2))
-    sets = [hypothesis(("a.x",), np.sqrt(6.0) * noise)]
     for floor in (True, False):
-        ranked = rank(hypothesis((), np.sqrt(101.0) * noise), sets, folds, np.zeros(SAMPLES, dtype=np.int64), tried=10,
-                      floor=floor).ranked  # fmt: skip
-        (found,) = (r for r in ranked if r.effects)
+        (found,) = (r for r in ranking({("a.x",): 6.0}, misfit=101.0, floor=floor).ranked if r.effects)
         assert found.explained == pytest.approx(0.95, abs=1e-3)
 
 

@@ -10,6 +10,7 @@ import pytest
 from eps_tunnel_analysis.diagnose import axis as axis_module
 from eps_tunnel_analysis.diagnose import doubts
 from eps_tunnel_analysis.diagnose.axis import near_hypotheses
+from eps_tunnel_analysis.diagnose.axis_search import AxisPart
 from eps_tunnel_analysis.diagnose.rank import Hypothesis
 from eps_tunnel_analysis.diagnose.refits import Refit
 
@@ -31,9 +32,7 @@ def test_the_best_of_fewer_effects_is_ranked_however_much_it_leaves(monkeypatch:
 
 
 def note(best: Refit, *others: Refit) -> list[str]:
-    axis: Any = SimpleNamespace(
-        search=None, best=best, refits=(best, *others), part=SimpleNamespace(title="axis x"),
-    )  # fmt: skip
+    axis: Any = SimpleNamespace(search=None, best=best, refits=(best, *others), part=AxisPart(("x",), (), ()))
     return list(doubts._not_needed(axis))
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one axis lacks: its sets of effects, refitted and ranked."""
 
-import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -166,10 +165,12 @@ def near_hypotheses(search: Search, base: Refit, refits: Sequence[Refit]) -> lis
     """
     ordered = sorted(refits, key=lambda r: r.cost)
     near = [r for i, r in enumerate(ordered) if i < 4 or r.cost < RUNNING * max(ordered[0].cost, 1.0)][:10]
-    for larger in tuple(near):
+    kept = {r.effects: r for r in near}
+    for larger in near:
         for size in range(1, len(larger.effects)):
-            fewer = (r for r in ordered if len(r.effects) == size and set(r.effects) < set(larger.effects))
-            near += [r for r in itertools.islice(fewer, 1) if all(r is not other for other in near)]
+            fewer = [r for r in ordered if len(r.effects) == size and set(r.effects) < set(larger.effects)]
+            kept |= {r.effects: r for r in fewer[:1]}
+    near = list(kept.values())
     return [
         replace(
             hypothesis(search, r, [o for o in near if o is not r and contained(search, r, o) is not None]),

@@ -93,6 +93,11 @@ class AxisPart:
         """In words."""
         return part_name(self.name) if len(self.axes) == 1 else f"axes {self.name}"
 
+    @property
+    def heading(self) -> str:
+        """The title as a heading or a sentence begins with it."""
+        return f"{self.title[0].upper()}{self.title[1:]}"
+
     def level(self, levels: Mapping[str, float] | None) -> float:
         """Mean of the floors given for its axes, axis -> floors; 0 if none are given."""
         return sum((levels or {}).get(name, 0.0) for name in self.axes) / len(self.axes)

@@ -17,6 +17,7 @@ from eps_tunnel_analysis.diagnose.base_values import base_from
 from eps_tunnel_analysis.diagnose.contained import contained
 from eps_tunnel_analysis.diagnose.rank import name_of
 from eps_tunnel_analysis.diagnose.search import directions
+from eps_tunnel_analysis.diagnose.sets import explains
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import in_words
 from eps_tunnel_analysis.fit.problem import by_axis
@@ -167,7 +168,7 @@ def notes_of(
         poor = [r.effects for r in axis.refits if r.effects and not r.converged and r.cost < 2.0 * axis.best.cost]
         if poor:
             names = ", ".join(" + ".join(effects) for effects in poor[:3])
-            notes.append(f"{_start(axis)}: the fit of {names} has not converged; its probability may be too low.")
+            notes.append(f"{axis.part.heading}: the fit of {names} has not converged; its probability may be too low.")
         notes += _not_needed(axis)
         if axis.ranking.unknown_but:
             curve = in_words(axis.ranking.unknown_but, model.registry).replace("free curve: ", "")
@@ -193,14 +194,9 @@ def _not_needed(axis: AxisDiagnosis) -> Iterator[str]:
     larger = [r for r in axis.refits if best.effects and len(r.effects) > len(best.effects)
               and contained(search, r, best) is not None]  # fmt: skip
     more = min(larger, key=lambda r: r.cost, default=None)
-    if more and best.cost - more.cost >= max(SETTINGS.material, SETTINGS.worthwhile * (best.cost - 1.0)):
+    if more and explains(best, more):
         yield (
-            f"{_start(axis)}: {name_of(more.effects)} would leave {shown_number(more.cost)} of the "
+            f"{axis.part.heading}: {name_of(more.effects)} would leave {shown_number(more.cost)} of the "
             f"{shown_number(best.cost)} floors that remain with {name_of(best.effects)}. That may only make up for an "
             "error of its form, so it is not named. To add it all the same: eps-tunnel add-effect."
         )
-
-
-def _start(axis: AxisDiagnosis) -> str:
-    title = axis.part.title
-    return f"{title[0].upper()}{title[1:]}"

@@ -362,7 +362,7 @@ def _probabilities(
     # What is little enough for a healthy rig is missing only as far as it also predicts what it was not fitted to.
     fitted, predicted = _gain(base, remaining.min(axis=1)), _gain(costs[:, 0], costs[:, 1:].min(axis=1))
     gain = np.maximum(np.minimum(fitted, predicted), _gain(base, curve)) - 2.0 * SETTINGS.width
-    allowed = SETTINGS.healthy + SETTINGS.form * np.maximum(level - 1.0, 0.0)
+    allowed = with_form(0.0, 1.0, level)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     # A sum of effects may leave nothing for its forms where one curve does without: it may only imitate that one.
     several = np.array([h.refit.several for h in hypotheses])

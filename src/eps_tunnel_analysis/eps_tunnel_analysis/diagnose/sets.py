@@ -68,7 +68,7 @@ def refitted_sets(
     Returns:
         The base, from a better start if the effects showed one, and a refit of each set that was tried.
     """
-    allowed = healthy + SETTINGS.form * max(level - 1.0, 0.0)
+    allowed = float(with_form(0.0, 1.0, level, healthy))
     if not search.library.candidates:
         return base, []
     base = _rested(search, base, allowed)
@@ -85,7 +85,7 @@ def refitted_sets(
         refits = best_by_set([*refits, *rival_refits(search, best, refits)])
     base, refits = started_again(search, *refined(search, base, refits), allowed)
     best = lowest([base, *refits])
-    worth = _explains(base, best)
+    worth = explains(base, best)
     lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
     if lacking(best, refits):
         fitted = {r.effects: r for r in (base, best)}.values()
@@ -94,7 +94,7 @@ def refitted_sets(
         more = [*ticks, *(event_refits(search, [*fitted], allowed) if show else [])]
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
-        worth = _explains(base, best)
+        worth = explains(base, best)
     if floor and lacking(best, refits) and not _helps(search, base, best):
         return base, refits  # nothing explains what is missing, so that nothing beside it does
     for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
@@ -352,15 +352,15 @@ def lacks_more(
     well, too, whose form may leave less.
     """
     if floor:
-        return worst_floors(best.residuals, search.signal) > SETTINGS.close * healthy
+        return not _complete(search, best, healthy)
     before = worst_floors(base.residuals, search.signal)
 
     def allowed(refit: Refit) -> float:
         inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-        return SETTINGS.close * SETTINGS.unrepeated * float(with_form(inexact, before, level, healthy))
+        return SETTINGS.unrepeated * float(with_form(inexact, before, level, healthy))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
-    return any(worst_floors(r.residuals, search.signal) > allowed(r) for r in (best, *rivals))
+    return any(not _complete(search, r, allowed(r)) for r in (best, *rivals))
 
 
 def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:
@@ -376,7 +376,7 @@ def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Re
     return float(np.clip(explained / max(base.cost - 1.0, 1e-12), 0.0, 1.0))
 
 
-def _explains(before: Refit, after: Refit) -> bool:
+def explains(before: Refit, after: Refit) -> bool:
     """Whether an added effect explains enough to continue from."""
     return _falls(before.cost, after.cost)
 
@@ -387,13 +387,13 @@ def _leads_on(search: Search, base: Refit, before: Refit, after: Refit) -> bool:
     """
     needed = before.cost - after.cost >= SETTINGS.share * (base.cost - 1.0)
     nearly = worst_floors(after.residuals, search.signal) <= NEAR_COMPLETE * SETTINGS.healthy
-    return _explains(before, after) and (search.exhaustive or needed or nearly)
+    return explains(before, after) and (search.exhaustive or needed or nearly)
 
 
 def _helps(search: Search, before: Refit, after: Refit) -> bool:
     """The same, or enough of the worst signal; always if nothing is to be given up."""
     worst = (worst_floors(r.residuals, search.signal) for r in (before, after))
-    return search.exhaustive or _explains(before, after) or _falls(*worst)
+    return search.exhaustive or explains(before, after) or _falls(*worst)
 
 
 def _falls(before: float, after: float) -> bool:

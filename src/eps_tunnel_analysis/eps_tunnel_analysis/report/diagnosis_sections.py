@@ -100,7 +100,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
     """One table per axis, most probable first; then what the best could be mistaken for."""
     blocks: list[Block] = []
     for axis in diagnosis.axes:
-        blocks.append(Heading(f"{axis.part.title[0].upper()}{axis.part.title[1:]}"))
+        blocks.append(Heading(axis.part.heading))
         if not axis.refits:
             blocks.append(Text("The model with refitted values is within the noise; no candidate was tried."))
             continue
