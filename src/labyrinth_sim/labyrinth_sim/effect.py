@@ -103,6 +103,7 @@ class Parameter:
         span: a large change of the value, where the bounds lie much further apart than that: a search takes its steps
             in shares of it. 0 for the distance of the bounds.
         begin: values from which a search begins, where it is not to spread them between the bounds.
+        choices: the only values that are tried, one for each kind of the same effect; such a value is settled.
         abrupt: whether a small change of it makes something happen or not, so that the misfit jumps.
     """
 
@@ -118,13 +119,18 @@ class Parameter:
     span: float = 0.0
     settled: bool = False
     begin: tuple[float, ...] = ()
+    choices: tuple[float, ...] = ()
     abrupt: bool = False
 
     def __post_init__(self) -> None:
         if not self.low <= self.typical <= self.high or not (self.off is None or self.low <= self.off <= self.high):
             raise InputError(f"Parameter {self.name}: typical and off must lie within [{self.low:g}, {self.high:g}].")
-        if not all(self.low <= value <= self.high for value in self.begin):
-            raise InputError(f"Parameter {self.name}: begin must lie within [{self.low:g}, {self.high:g}].")
+        if not all(self.low <= value <= self.high for value in (*self.begin, *self.choices)):
+            raise InputError(f"Parameter {self.name}: begin and choices must lie within [{self.low:g}, {self.high:g}].")
+        if self.choices and not (self.settled and self.typical in self.choices):
+            raise InputError(
+                f"Parameter {self.name}: one with choices must be settled, and its typical value one of them."
+            )
 
     def sized(self, size: Size, stated: float | None = None) -> "Parameter":
         """The same parameter of an axis of this size, in its unit.
@@ -143,8 +149,10 @@ class Parameter:
             if wider != (low, high) and not self.complaint(size, stated):
                 low, high = wider
         off = None if self.off is None else times * self.off
-        typical, span, begin = times * self.typical, times * self.span, tuple(times * value for value in self.begin)
-        return replace(self, unit=unit, low=low, high=high, off=off, typical=typical, span=span, begin=begin)
+        typical, span = times * self.typical, times * self.span
+        begin, choices = (tuple(times * value for value in some) for some in (self.begin, self.choices))
+        return replace(self, unit=unit, low=low, high=high, off=off, typical=typical, span=span, begin=begin,
+                       choices=choices)  # fmt: skip
 
     def complaint(self, size: Size, stated: float) -> str:
         """Why a value cannot be stated for an axis of this size; "" if it can.

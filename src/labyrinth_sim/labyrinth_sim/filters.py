@@ -11,6 +11,9 @@ from labyrinth_sim.law import CACHED
 from labyrinth_sim.normal import ndtr
 from labyrinth_sim.trials import Array
 
+#: (nsim, K) samples of a channel and (nsim, K, channels) of all to (nsim, K).
+Filter = Callable[[Array, Array], Array]
+
 
 class Map:
     """Sample by sample, without memory."""
@@ -38,13 +41,23 @@ class Added:
 class Chain:
     """One filter after the other."""
 
-    def __init__(self, *filters: Callable[[Array, Array], Array]) -> None:
+    def __init__(self, *filters: Filter) -> None:
         self.filters = filters
 
     def __call__(self, own: Array, every: Array) -> Array:
         for filter_ in self.filters:
             own = filter_(own, every)
         return own
+
+
+class Blend:
+    """The samples of one filter, and in their place this share (nsim,) of another's."""
+
+    def __init__(self, filter_: Filter, other: Filter, share: Array) -> None:
+        self.filter, self.other, self.share = filter_, other, share[:, None]
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        return (1.0 - self.share) * self.filter(own, every) + self.share * self.other(own, every)
 
 
 class WithSpeed:
@@ -126,6 +139,42 @@ class Lag:
                 out[k] = last
         self._past, self._last = stream[:, -2:].copy(), last  # the caller may refill `own`
         return out.T
+
+
+class Mean:
+    """y(t) = mean of u over the last `width` s, as of a moving average or of an exposure; u itself where that is 0.
+
+    Exact for u that goes on parabolas: between two samples it is taken to bend as it did over the last three. Samples
+    before the first are `start` (nsim,). NaN passes, and counts as the sample before it in later means.
+    """
+
+    def __init__(self, width: Array, step: float, start: Array) -> None:
+        self._none = (width <= 0)[:, None]
+        self._steps = np.where(self._none, 1.0, width[:, None] / step)
+        self._back = np.floor(self._steps + 1e-9).astype(int)
+        self._part = np.maximum(self._steps - self._back, 0.0)
+        depth = int(self._back.max(initial=0)) + 1
+        self._start = np.asarray(start, float)[:, None]
+        self._past = np.repeat(self._start, depth + 2, axis=1)
+        self._areas = np.zeros((len(width), depth))  # until each sample, of u - start, in steps
+
+    def __call__(self, own: Array, every: Array) -> Array:
+        stream = np.concatenate([self._past, own], axis=1)
+        kept = np.maximum.accumulate(np.where(np.isnan(stream), 0, np.arange(stream.shape[1])), axis=1)
+        stream = np.take_along_axis(stream, kept, axis=1)
+        depth, value = self._areas.shape[1], stream[:, 2:]
+        rise = value - stream[:, 1:-1]
+        bend = rise - (stream[:, 1:-1] - stream[:, :-2])
+        added = (value - 0.5 * rise - bend / 12.0 - self._start)[:, depth:]
+        areas = np.concatenate([self._areas, added], axis=1)
+        areas[:, depth - 1 :] = np.cumsum(areas[:, depth - 1 :], axis=1)
+        begins = np.arange(depth, depth + own.shape[1]) - self._back  # of the sample after which a mean begins
+        value, rise, bend = (np.take_along_axis(part, begins, axis=1) for part in (value, rise, bend))
+        part = self._part
+        after = part * (value - self._start) - 0.5 * part**2 * (rise + 0.5 * bend) + part**3 * bend / 6.0
+        mean = self._start + (areas[:, depth:] - np.take_along_axis(areas, begins, axis=1) + after) / self._steps
+        self._past, self._areas = stream[:, -depth - 2 :].copy(), areas[:, -depth:].copy()
+        return np.where(self._none | np.isnan(own), own, mean)
 
 
 class RateLimit:

@@ -2,6 +2,7 @@
 """A parameter is declared once, for a toy servo; its unit and bounds follow the axis."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,14 @@ def test_a_value_stated_near_its_bound_has_room_beyond_it() -> None:
     damping = PARAMETERS["torque_pd", "damping"]
     assert damping.sized(HINGE, 19.0).high == pytest.approx(57.0)
     assert damping.sized(HINGE, 0.2) == damping
+
+
+def test_a_value_with_choices_is_settled_and_typically_one_of_them() -> None:
+    kind = Parameter("kind", "1", 0.0, 2.0, None, 0.0, "one or the other", settled=True, choices=(0.0, 2.0))
+    assert kind.sized(HINGE).choices == (0.0, 2.0)
+    for wrong in ({"settled": False}, {"typical": 1.0}, {"choices": (0.0, 3.0)}):
+        with pytest.raises(InputError, match=r"Parameter kind: .*choices"):
+            replace(kind, **wrong)
 
 
 MJCF = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="0.01" diaginertia="1 1 1"/>

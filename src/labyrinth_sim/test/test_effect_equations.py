@@ -550,7 +550,26 @@ def test_sensor_delay(model_of: ModelOf, delay: float) -> None:
     assert found == pytest.approx(0.1 * np.cos(math.sqrt(SPRING / INERTIA) * late), abs=3e-4)
 
 
-@checks("sensor_lag", "tau d(angle')/dt + angle' = angle")
+SENSOR_LAG = (
+    "sensor_lag",
+    "tau d(angle')/dt + angle' = angle; in place of the share m of it the mean of angle over the last 2 tau",
+)
+
+
+@checks(*SENSOR_LAG)
+@pytest.mark.parametrize("share", [0.3, 1.0])
+@pytest.mark.parametrize("tau", [0.0, 0.002, 0.008, 0.05])
+def test_sensor_lag_that_averages(model_of: ModelOf, tau: float, share: float) -> None:
+    lag = {"time_constant": tau, "averaged": 0.0}
+    first = play(model_of("swing").with_effect("sensor_lag", "a", lag), TIME, a=0.1)["a"]
+    both = play(model_of("swing").with_effect("sensor_lag", "a", lag | {"averaged": share}), TIME, a=0.1)["a"]
+    w, width = math.sqrt(SPRING / INERTIA), max(2.0 * tau, 1e-9)
+    inside = np.minimum(TIME, width)  # before the start the axis was where it starts
+    mean = (width - inside + (np.sin(w * TIME) - np.sin(w * (TIME - inside))) / w) / width
+    assert both == pytest.approx((1.0 - share) * first + share * 0.1 * mean, abs=3e-4)
+
+
+@checks(*SENSOR_LAG)
 @pytest.mark.parametrize("tau", [0.002, 0.008, 0.05])
 def test_sensor_lag(model_of: ModelOf, tau: float) -> None:
     turning = play(model_of("horn").with_effect("sensor_lag", "a", {"time_constant": tau}), TIME, a_speed=0.5)["a"]

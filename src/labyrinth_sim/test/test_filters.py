@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Filters between simulation and signals, where the equations of the effects that use them do not say all."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from labyrinth_sim.filters import Delay, Lag, Swing, dithered, rounded
+from labyrinth_sim.filters import Delay, Filter, Lag, Mean, Swing, dithered, rounded
+from labyrinth_sim.trials import Array
 
 STEP = 0.01  # s
 
 
-def test_a_lag_in_parts_is_the_lag_of_the_whole() -> None:
+@pytest.mark.parametrize("filter_", [lambda late: Lag(late, STEP), lambda late: Mean(2.0 * late, STEP, np.ones(3))])
+def test_a_lag_in_parts_is_the_lag_of_the_whole(filter_: Callable[[Array], Filter]) -> None:
     rng = np.random.default_rng(5)
     values = rng.normal(size=(3, 50))
     constants = np.array([0.0, 0.004, 0.03])
-    whole = Lag(constants, STEP)(values, values)
-    parts = Lag(constants, STEP)
+    whole = filter_(constants)(values, values)
+    parts = filter_(constants)
     block = np.empty((3, 10))
     for k in range(0, 50, 10):
         block[...] = values[:, k : k + 10]  # as a live stepper does, which fills one block anew
@@ -29,6 +33,9 @@ def test_a_measurement_filtered_or_late_is_that_of_a_parabola(late: float) -> No
     filtered = Lag(np.array([late]), STEP)(value[None], value[None])[0]
     steady = value - late * (80.0 * time - 3.0) + late**2 * 80.0
     assert np.abs(filtered - steady)[50:].max() < 1e-6  # of the radian; what is left of the start dies away
+    averaged = Mean(np.array([2.0 * late]), STEP, value[:1])(value[None], value[None])[0]
+    mean = value - late * (80.0 * time - 3.0) + 4.0 / 3.0 * late**2 * 40.0
+    assert averaged[10:] == pytest.approx(mean[10:], abs=1e-12)
     delayed = Delay(np.array([late]), STEP, np.zeros(1), smooth=True)(value[None], value[None])[0]
     assert delayed[10:] == pytest.approx((40.0 * (time - late) ** 2 - 3.0 * (time - late))[10:], abs=1e-12)
 
@@ -41,6 +48,9 @@ def test_a_lost_sample_is_bridged_by_its_neighbour() -> None:
     lagged = Lag(np.array([0.004]), STEP)(values, values)[0]
     assert np.isfinite(np.delete(lagged, 9)).all()
     assert np.isnan(lagged[9])
+    averaged = Mean(np.array([0.02]), STEP, np.zeros(1))(values, values)[0]
+    assert np.isnan(averaged[9])
+    assert np.nanmax(np.abs(averaged[9:] - np.sin(np.arange(9.0, 20.0) - 1.0))) < 0.6  # at a step of a radian
 
 
 def test_a_smooth_delay_in_parts_is_the_delay_of_the_whole() -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one axis lacks: its sets of effects, refitted and ranked."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -187,10 +188,9 @@ def hypothesis(search: Search, refit: Refit, contains: Sequence[Refit] = ()) -> 
     room = (refit.values - search.low)[columns] / span, (search.high - refit.values)[columns] / span
     predicted = left_out(search.jacobian(refit), refit.residuals, search.folds, room,
                          search.firmness_at(refit.values)[columns])  # fmt: skip
-    unused = _unused(search, refit)
-    return Hypothesis(
-        refit, predicted, tuple(frozenset(o.effects) for o in contains), search.strain(refit.values), unused=unused
-    )
+    kinds = math.prod(c.kinds for c in search.library.of(refit.effects))
+    return Hypothesis(refit, predicted, tuple(frozenset(o.effects) for o in contains), search.strain(refit.values),
+                      unused=_unused(search, refit), kinds=kinds)  # fmt: skip
 
 
 def _unused(search: Search, refit: Refit) -> int:
@@ -199,7 +199,7 @@ def _unused(search: Search, refit: Refit) -> int:
     """
     total = 0
     for candidate in search.library.of(refit.effects):
-        columns = search.columns(candidate)
+        columns = search.free_columns(candidate)
         total += min(int(search.at_bound(refit.values[columns], columns).sum()), len(columns) - 1)
     return total
 

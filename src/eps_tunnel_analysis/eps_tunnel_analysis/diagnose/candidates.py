@@ -6,6 +6,7 @@ and run in one batch.
 """
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -61,6 +62,11 @@ class Candidate:
         tick = sized[0]
         most = min(tick.high, self.coarsest)
         return (replace(tick, high=most, typical=min(tick.typical, most)), *sized[1:])
+
+    @property
+    def kinds(self) -> int:
+        """Of how many kinds it may be: all combinations of the choices that its parameters have."""
+        return math.prod(len(p.choices) for p in self.declared if p.choices)
 
     @property
     def possible(self) -> bool:
@@ -261,8 +267,8 @@ def _with_ticks(rows: Sequence[Sequence[float]], ticks: Array) -> Array:
 
 def _spread(p: Parameter) -> Array:
     """A few values of a parameter that only shapes an effect: those declared, or some between its bounds."""
-    if p.begin:
-        return np.array(p.begin)
+    if p.begin or p.choices:
+        return np.array(p.begin or p.choices)
     return np.geomspace(p.low, p.high, 7)[1:-1] if p.low > 0 else np.linspace(p.low, p.high, 5)[:-1]
 
 

@@ -139,6 +139,7 @@ def _loosened(search: Search, held: Evidence, refit: Refit, candidate: Candidate
             return []
         points = np.repeat([r.values for r in refits], 1 + AROUND, axis=0)
         away = np.where(np.arange(len(points)) % (1 + AROUND), width, 0.0)[:, None]
-        points[:, columns] *= np.exp(away * rng.normal(size=(len(points), len(columns))))
+        free = search.free_columns(candidate)
+        points[:, free] *= np.exp(away * rng.normal(size=(len(points), len(free))))
         points = np.clip(points, search.low, search.high)
     return [(fitted, point) for point in best_points(search, points, CARRIED_ON, "exact")]

@@ -48,7 +48,7 @@ def named_intervals(
         best, *others = search.valleys(axis.acting(named))
         columns = search.fitted(best)
         half = _half_widths(search, best, columns) * search.spans[columns]
-        own = [columns.index(i) for name in best.effects for i in search.columns(search.library.find(name))]
+        own = [columns.index(i) for name in best.effects for i in search.free_columns(search.library.find(name))]
         half[own] = np.maximum(half[own], profiles(search, best, [columns[i] for i in own]))
         limit = best.objective + chance(search, best)
         alike = [best.values, *(r.values for r in others if r.objective <= limit)]

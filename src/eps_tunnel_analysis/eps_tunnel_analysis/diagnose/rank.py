@@ -48,6 +48,7 @@ class Hypothesis:
         strain: how unlikely its values are beside what is stated: minus twice the logarithm of their likelihood.
         inexact: share of the base's misfit explained by those of its effects that occur in several forms.
         unused: how many of its effects' values lie at a bound, and so are not free.
+        kinds: of how many equally likely kinds its effects may be, one of which it is.
     """
 
     refit: Refit
@@ -56,6 +57,7 @@ class Hypothesis:
     strain: float = 0.0
     inexact: float = 1.0
     unused: int = 0
+    kinds: int = 1
 
     @property
     def cost(self) -> float:
@@ -348,6 +350,7 @@ def _probabilities(
     scores -= 0.5 * np.log(max(worth, 1.0)) * np.maximum(values, 0)
     needed = _needed(hypotheses, base, remaining, beyond_noise, kept, unit)
     scores += np.log(np.maximum(needed, 1e-300))
+    scores -= np.log([h.kinds for h in hypotheses])
     # A value far from the stated one counts as evidence like a misfit.
     scores -= 0.5 * np.array([h.strain for h in hypotheses])
     alone = -0.5 * worth * _surprise(costs[:, 0] / known) - 0.5 * bare.strain

@@ -299,13 +299,19 @@ class Search:
         """Columns of a candidate's values among the library's."""
         return [self._column[name] for name in candidate.parameters]
 
+    def free_columns(self, candidate: Candidate) -> list[int]:
+        """The same without those that are one of a few choices."""
+        declared = zip(self.columns(candidate), candidate.declared, strict=True)
+        return [column for column, p in declared if not p.choices]
+
     def fitted(self, refit: Refit) -> list[int]:
         """Columns of the values that a refit fits among the library's, the base's first."""
-        names = list(self.library.base)
-        for name in refit.effects:
-            names += self.library.find(name).parameters
+        columns = [
+            *range(len(self.library.base)),
+            *(i for c in self.library.of(refit.effects) for i in self.free_columns(c)),
+        ]
         kept = self.idle | self.sharp
-        return [column for column in (self._column[name] for name in names) if not kept[column]]
+        return [column for column in columns if not kept[column]]
 
     def refit(
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,
@@ -328,7 +334,7 @@ class Search:
         free[:, : len(self.library.base) - (0 if rough else self.library.rough)] = True
         for row, (candidates, _) in enumerate(jobs):
             for candidate in candidates:
-                free[row, self.columns(candidate)] = True
+                free[row, self.free_columns(candidate)] = True
         free &= ~(self.idle | self.sharp)
         width = (self.high - self.low) / self.spans
 

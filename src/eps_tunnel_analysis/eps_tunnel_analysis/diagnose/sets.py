@@ -261,9 +261,23 @@ def _jobs(search: Search, points: Sequence[Refit], tried: Sequence[TrialPoint], 
         for on in list(dict.fromkeys(point.on for point in same))[:POINTS_EACH]:
             fitted = search.library.of(points[on].effects)
             here = [point for point in same if point.on == on]
-            many = STARTS_EACH if len(here[0].candidate.parameters) > 1 else 1
-            jobs += [((*fitted, point.candidate), point.values) for point in here[:many]]
+            jobs += [((*fitted, point.candidate), point.values) for point in _best_starts(search, here)]
     return jobs
+
+
+def _best_starts(search: Search, points: Sequence[TrialPoint]) -> list[TrialPoint]:
+    """Of one effect's trial points, best first: the best, more if it has several values, and the best of each kind."""
+    columns, free = (of(points[0].candidate) for of in (search.columns, search.free_columns))
+    kinds = [column for column in columns if column not in free]
+    many = STARTS_EACH if len(columns) > 1 else 1
+    seen: set[tuple[float, ...]] = set()
+    chosen = []
+    for number, point in enumerate(points):
+        kind = tuple(point.values[kinds])
+        if number < many or kind not in seen:
+            chosen.append(point)
+        seen.add(kind)
+    return chosen
 
 
 def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:

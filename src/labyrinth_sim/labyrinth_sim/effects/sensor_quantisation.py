@@ -24,7 +24,17 @@ EFFECT = Effect(
         Parameter(
             "noise", "rad", 0.0, 0.01, None, 0.0006, "none to two ticks of such a converter; 0 is one clean trial"
         ),
-        Parameter("cut", "1", 0.0, 0.5, None, 0.0, "0 where angles are rounded, 0.5 where the fraction is cut off"),
+        Parameter(
+            "cut",
+            "1",
+            0.0,
+            0.5,
+            None,
+            0.0,
+            "0 where angles are rounded, 0.5 where the fraction is cut off",
+            settled=True,
+            choices=(0.0, 0.5),
+        ),
     ),
     stage="measurement",
     mark="One signal takes few values, all multiples of one angle.",
