@@ -17,7 +17,7 @@ from eps_tunnel_analysis.diagnose.candidates import starts
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, with_best_share
-from eps_tunnel_analysis.diagnose.search import FEW_STARTS, Search
+from eps_tunnel_analysis.diagnose.search import FEW_STARTS, HOPELESS, Search
 from eps_tunnel_analysis.diagnose.sets import refitted_sets, rival_refits, settled, started_again
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.recorded_play import Play
@@ -366,3 +366,54 @@ def test_events_are_looked_for_only_where_more_is_left_than_a_healthy_rig_leaves
     monkeypatch.setattr(search, "exhaustive", exhaustive)
     refitted_sets(search, found(3.5))
     assert asked == ([(), (FRICTION,)] if sought else [])
+
+
+@pytest.mark.parametrize(("left", "exhaustive", "times"), [(20.0, False, 2), (2.0, False, 0), (2.0, True, 2)])
+def test_where_an_effect_leaves_little_more_begins_with_its_own_values_only(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, left: float, exhaustive: bool, times: int
+) -> None:
+    begun: list[Refit] = []
+    answers = {(): [found(left, FRICTION)], (FRICTION,): [found(1.9, FRICTION, GAIN)]}
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    told(monkeypatch, next_refits=growing([], answers), event_refits=lambda *_: [],
+         begun=lambda _, base, refits: begun.append(base) or [])  # fmt: skip
+    refitted_sets(search, found(100.0))
+    assert len(begun) == times
+
+
+def test_ticks_that_promise_more_than_is_given_up_are_not_descended(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most: list[float] = []
+    answers = {(): [found(20.0, FRICTION)]}
+    told(monkeypatch, next_refits=growing([], answers), event_refits=lambda *_: [],
+         tick_refits=lambda _, __, ___, limit: most.append(limit) or [])  # fmt: skip
+    for exhaustive in (False, True):
+        monkeypatch.setattr(search, "exhaustive", exhaustive)
+        refitted_sets(search, found(100.0))
+    assert most == [HOPELESS * 20.0, np.inf]
+    monkeypatch.undo()
+    (tick,) = (c for c in search.library.candidates if c.name == TICK)
+    points = [TrialPoint(tick, search.start, promised, 0, promised) for promised in (2.0, 5.0)]
+    monkeypatch.setattr(sets_module, "tick_points", lambda *_: points)
+    tried: list[int] = []
+    monkeypatch.setattr(search, "best_of", lambda jobs, _: tried.append(len(jobs)) or [])
+    for limit in (1.0, 3.0, np.inf):
+        sets_module.tick_refits(search, [found(9.0)], 1.6, limit)
+    assert tried == [1, 2]
+
+
+@pytest.mark.parametrize(("more", "exhaustive", "rests"), [(0.9, False, False), (0.9, True, True), (0.2, False, True)])
+def test_a_set_that_adds_nothing_is_not_descended_to_rest(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, more: float, exhaustive: bool, rests: bool
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def refit(jobs: Sequence[Job], *_: object) -> list[Refit]:
+        asked.extend(tuple(c.name for c in candidates) for candidates, _ in jobs)
+        return [found(1.0, *(c.name for c in candidates)) for candidates, _ in jobs]
+
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    monkeypatch.setattr(search, "refit", refit)
+    settled(search, found(50.0), [found(1.0, GAIN), found(more, GAIN, LOAD), found(1.2, FRICTION)])
+    assert {(GAIN,), (FRICTION,)} <= set(asked) and ((GAIN, LOAD) in asked) is rests

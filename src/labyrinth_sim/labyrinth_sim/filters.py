@@ -155,16 +155,16 @@ class Mean:
         self._part = np.maximum(self._steps - self._back, 0.0)
         depth = int(self._back.max(initial=0)) + 1
         self._start = np.asarray(start, float)[:, None]
-        self._past = np.repeat(self._start, depth + 2, axis=1)
+        self._past = np.full((len(width), depth + 2), np.nan)
         self._areas = np.zeros((len(width), depth))  # until each sample, of u - start, in steps
 
     def __call__(self, own: Array, every: Array) -> Array:
         stream = np.concatenate([self._past, own], axis=1)
+        bend = np.nan_to_num(np.diff(stream, 2, axis=1))
         kept = np.maximum.accumulate(np.where(np.isnan(stream), 0, np.arange(stream.shape[1])), axis=1)
-        stream = np.take_along_axis(stream, kept, axis=1)
-        depth, value = self._areas.shape[1], stream[:, 2:]
-        rise = value - stream[:, 1:-1]
-        bend = rise - (stream[:, 1:-1] - stream[:, :-2])
+        full = np.take_along_axis(stream, kept, axis=1)
+        full = np.where(np.isnan(full), self._start, full)
+        depth, value, rise = self._areas.shape[1], full[:, 2:], np.diff(full, axis=1)[:, 1:]
         added = (value - 0.5 * rise - bend / 12.0 - self._start)[:, depth:]
         areas = np.concatenate([self._areas, added], axis=1)
         areas[:, depth - 1 :] = np.cumsum(areas[:, depth - 1 :], axis=1)
@@ -173,7 +173,7 @@ class Mean:
         part = self._part
         after = part * (value - self._start) - 0.5 * part**2 * (rise + 0.5 * bend) + part**3 * bend / 6.0
         mean = self._start + (areas[:, depth:] - np.take_along_axis(areas, begins, axis=1) + after) / self._steps
-        self._past, self._areas = stream[:, -depth - 2 :].copy(), areas[:, -depth:].copy()
+        self._past, self._areas = stream[:, -depth - 2 :], areas[:, -depth:].copy()
         return np.where(self._none | np.isnan(own), own, mean)
 
 

@@ -550,35 +550,25 @@ def test_sensor_delay(model_of: ModelOf, delay: float) -> None:
     assert found == pytest.approx(0.1 * np.cos(math.sqrt(SPRING / INERTIA) * late), abs=3e-4)
 
 
-SENSOR_LAG = (
+@checks(
     "sensor_lag",
     "tau d(angle')/dt + angle' = angle; in place of the share m of it the mean of angle over the last 2 tau",
 )
-
-
-@checks(*SENSOR_LAG)
-@pytest.mark.parametrize("share", [0.3, 1.0])
-@pytest.mark.parametrize("tau", [0.0, 0.002, 0.008, 0.05])
-def test_sensor_lag_that_averages(model_of: ModelOf, tau: float, share: float) -> None:
-    lag = {"time_constant": tau, "averaged": 0.0}
-    first = play(model_of("swing").with_effect("sensor_lag", "a", lag), TIME, a=0.1)["a"]
-    both = play(model_of("swing").with_effect("sensor_lag", "a", lag | {"averaged": share}), TIME, a=0.1)["a"]
-    w, width = math.sqrt(SPRING / INERTIA), max(2.0 * tau, 1e-9)
-    inside = np.minimum(TIME, width)  # before the start the axis was where it starts
-    mean = (width - inside + (np.sin(w * TIME) - np.sin(w * (TIME - inside))) / w) / width
-    assert both == pytest.approx((1.0 - share) * first + share * 0.1 * mean, abs=3e-4)
-
-
-@checks(*SENSOR_LAG)
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("tau", [0.002, 0.008, 0.05])
-def test_sensor_lag(model_of: ModelOf, tau: float) -> None:
-    turning = play(model_of("horn").with_effect("sensor_lag", "a", {"time_constant": tau}), TIME, a_speed=0.5)["a"]
-    assert turning == pytest.approx(0.5 * (TIME - tau * -np.expm1(-TIME / tau)), abs=1e-9)
+def test_sensor_lag(model_of: ModelOf, tau: float, share: float) -> None:
+    values = {"time_constant": tau, "averaged": share}
+    turning = play(model_of("horn").with_effect("sensor_lag", "a", values), TIME, a_speed=0.5)["a"]
+    late, inside = TIME - tau * -np.expm1(-TIME / tau), np.minimum(TIME, 2 * tau)  # a mean begins where the axis does
+    assert turning == pytest.approx(
+        0.5 * ((1 - share) * late + share * inside * (TIME - inside / 2) / (2 * tau)), abs=1e-9
+    )
     w = math.sqrt(SPRING / INERTIA)
-    swinging = play(model_of("swing").with_effect("sensor_lag", "a", {"time_constant": tau}), TIME, a=0.1)["a"]
+    swinging = play(model_of("swing").with_effect("sensor_lag", "a", values), TIME, a=0.1)["a"]
     steady = (np.cos(w * TIME) + w * tau * np.sin(w * TIME)) / (1 + (w * tau) ** 2)
-    start = 1.0 - 1.0 / (1 + (w * tau) ** 2)
-    assert swinging == pytest.approx(0.1 * (steady + start * np.exp(-TIME / tau)), abs=3e-4)
+    first = steady + (1.0 - 1.0 / (1 + (w * tau) ** 2)) * np.exp(-TIME / tau)
+    mean = (2 * tau - inside + (np.sin(w * TIME) - np.sin(w * (TIME - inside))) / w) / (2 * tau)
+    assert swinging == pytest.approx(0.1 * ((1 - share) * first + share * mean), abs=3e-4)
 
 
 @checks("sensor_quantisation", "angle' = E[q round((angle + noise) / q - c)]")

@@ -64,6 +64,12 @@ class Candidate:
         return (replace(tick, high=most, typical=min(tick.typical, most)), *sized[1:])
 
     @property
+    def free(self) -> tuple[str, ...]:
+        """Full names of those that a descent moves; the others are one of a few choices."""
+        declared = zip(self.parameters, self.declared, strict=True)
+        return tuple(name for name, p in declared if not p.choices)
+
+    @property
     def kinds(self) -> int:
         """Of how many kinds it may be: all combinations of the choices that its parameters have."""
         return math.prod(len(p.choices) for p in self.declared if p.choices)

@@ -301,17 +301,13 @@ class Search:
 
     def free_columns(self, candidate: Candidate) -> list[int]:
         """The same without those that are one of a few choices."""
-        declared = zip(self.columns(candidate), candidate.declared, strict=True)
-        return [column for column, p in declared if not p.choices]
+        return [self._column[name] for name in candidate.free]
 
     def fitted(self, refit: Refit) -> list[int]:
         """Columns of the values that a refit fits among the library's, the base's first."""
-        columns = [
-            *range(len(self.library.base)),
-            *(i for c in self.library.of(refit.effects) for i in self.free_columns(c)),
-        ]
+        own = [column for c in self.library.of(refit.effects) for column in self.free_columns(c)]
         kept = self.idle | self.sharp
-        return [column for column in columns if not kept[column]]
+        return [column for column in (*range(len(self.library.base)), *own) if not kept[column]]
 
     def refit(
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,

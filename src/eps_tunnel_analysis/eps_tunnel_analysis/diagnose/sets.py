@@ -89,7 +89,9 @@ def refitted_sets(
     lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
     if lacking(best, refits):
         fitted = {r.effects: r for r in (base, best)}.values()
-        ticks = tick_refits(search, [*fitted, *begun(search, base, refits)], allowed)
+        ticks = tick_refits(
+            search, [*fitted, *_beginnings(search, base, best, refits, allowed)], allowed, _given_up(search, best)
+        )
         show = search.exhaustive or worst_floors(best.residuals, search.signal) > allowed
         more = [*ticks, *(event_refits(search, [*fitted], allowed) if show else [])]
         refits = best_by_set([*refits, *more])
@@ -102,7 +104,7 @@ def refitted_sets(
         if not (worth and same and lacking(best, refits)):
             break
         on = lowest(same)
-        beside = begun(search, base, refits) if size == 1 else []
+        beside = _beginnings(search, base, on, refits, allowed) if size == 1 else []
         more = next_refits(search, [on, *_runners_up(on, refits), *beside], PAIR_SHORTLIST)
         if more:
             better = lowest(more)
@@ -130,11 +132,16 @@ def _complete(search: Search, refit: Refit, allowed: float) -> bool:
     return worst_floors(refit.residuals, search.signal) <= SETTINGS.close * allowed
 
 
+def _nearly_complete(search: Search, refit: Refit, allowed: float) -> bool:
+    """Whether a refit leaves little more than what counts as nothing missing, `allowed` floors."""
+    return worst_floors(refit.residuals, search.signal) <= NEAR_COMPLETE * allowed
+
+
 def _rested(search: Search, base: Refit, allowed: float) -> Refit:
     """The base where it leaves little more than a healthy rig: its descents go on until it rests, with shorter steps if
     it needs these. What they stopped short of would be taken for something missing, and the whole library tried.
     """
-    if _complete(search, base, allowed) or worst_floors(base.residuals, search.signal) > NEAR_COMPLETE * allowed:
+    if _complete(search, base, allowed) or not _nearly_complete(search, base, allowed):
         return base
     base, _ = refined(search, base, [])
     return base if _complete(search, base, allowed) else settled(search, base, [])[0]
@@ -148,6 +155,8 @@ def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     """
     best = lowest([base, *refits])
     near = [r for r in best_by_set([base, *refits])[:SHORTLIST] if r.cost < NEAR_BEST * max(best.cost, 1.0)]
+    if not search.exhaustive:
+        near = [r for r in near if not any(_adds_nothing(r, fewer) for fewer in near)]
     again = _gone_on(search, near, [r.values for r in near])
     near = best_by_set([*near, *again])
     if len(near) > 1:
@@ -155,6 +164,12 @@ def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
         moved = [search.library.with_base(r.values, other.values) for other, r in zip(others, near, strict=True)]
         again += _gone_on(search, near, moved)
     return base_and_sets([base, *refits, *again])
+
+
+def _adds_nothing(refit: Refit, fewer: Refit) -> bool:
+    """Whether a set contains another set of effects and explains no more that matters."""
+    contains = bool(fewer.effects) and set(fewer.effects) < set(refit.effects)
+    return contains and refit.cost > fewer.cost - SETTINGS.material
 
 
 def _gone_on(search: Search, refits: Sequence[Refit], points: Sequence[Array]) -> list[Refit]:
@@ -299,6 +314,11 @@ def _rebased(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     return best_by_set([*again, *search.judged(list(zip(named, beside, strict=True)), ROUNDS)])
 
 
+def _beginnings(search: Search, base: Refit, best: Refit, refits: Sequence[Refit], allowed: float) -> list[Refit]:
+    """What `begun` gives, unless the best leaves little more than `allowed` floors: then its own values are right."""
+    return [] if not search.exhaustive and _nearly_complete(search, best, allowed) else begun(search, base, refits)
+
+
 def begun(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
     """The base with a little of one more effect, for each of those that explain most by themselves.
 
@@ -310,10 +330,17 @@ def begun(search: Search, base: Refit, refits: Sequence[Refit]) -> list[Refit]:
     return [replace(search.at(weakly(search, base.values, effects), base), effects=effects) for effects in single]
 
 
-def tick_refits(search: Search, on: Sequence[Refit], allowed: float) -> list[Refit]:
-    """Refits from the best ticks of commands on top of refits, where an axis leaves more than `allowed` floors."""
-    points = tick_points(search, on, allowed)
+def tick_refits(search: Search, on: Sequence[Refit], allowed: float, most: float = np.inf) -> list[Refit]:
+    """Refits from the best ticks of commands on top of refits, where an axis leaves more than `allowed` floors, and
+    ticks promise less than `most`.
+    """
+    points = [p for p in tick_points(search, on, allowed) if p.promised < most]
     return search.best_of(_jobs(search, on, points, np.inf), ROUNDS) if points else []
+
+
+def _given_up(search: Search, best: Refit) -> float:
+    """Floors above which nothing is tried any more beside the best."""
+    return np.inf if search.exhaustive else HOPELESS * max(best.cost, 1.0)
 
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
@@ -325,7 +352,7 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
     promises no more than descents that are given up leave.
     """
     known = {frozenset(r.effects): r.cost for r in tried}
-    most = np.inf if search.exhaustive else HOPELESS * max(best.cost, 1.0)
+    most = _given_up(search, best)
     several = len(best.effects) > 1
     jobs: list[Job] = []
     for name in best.effects:
@@ -400,7 +427,7 @@ def _leads_on(search: Search, base: Refit, before: Refit, after: Refit) -> bool:
     it is needed or nearly all. Otherwise one more would be no more needed.
     """
     needed = before.cost - after.cost >= SETTINGS.share * (base.cost - 1.0)
-    nearly = worst_floors(after.residuals, search.signal) <= NEAR_COMPLETE * SETTINGS.healthy
+    nearly = _nearly_complete(search, after, SETTINGS.healthy)
     return explains(before, after) and (search.exhaustive or needed or nearly)
 
 
