@@ -52,6 +52,8 @@ def test_a_value_starts_where_its_effect_declares() -> None:
     found = library(load_model("labyrinth_manual"), [], only=["duty_cut_back", "torque_saturation"])
     cut, limit = (starts(found.find(f"{name}.x")) for name in ("duty_cut_back", "torque_saturation"))
     assert len(np.unique(cut[:, 2])) > 3 and ((cut[:, 2] > 0.0) & (cut[:, 2] < 0.1)).any(), "most are fast"
+    firmwares = np.array([0.02, 0.4, 0.8])  # of small motions, and the bounds that makers set
+    assert (np.abs(np.log(firmwares[:, None] / np.unique(cut[:, 1]))).min(axis=1) < np.log(2.0)).all()
     assert len(limit) > 3 and not limit[:, 1].any(), "a descent finds how soft a limit is"
 
 

@@ -80,6 +80,7 @@ EFFECT = Effect(
             None,
             0.4,
             "overload torque in the firmware; Feetech's default is 0.8",
+            begin=(0.006, 0.02, 0.06, 0.2, 0.5, 0.9),
             abrupt=True,
         ),
         Parameter(
