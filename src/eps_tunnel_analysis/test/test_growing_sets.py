@@ -100,13 +100,14 @@ def test_triples_grow_only_from_a_pair_that_is_needed_or_leaves_nearly_nothing(
     search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of 10,000 floors a further effect may take 3 % for the first one's form, unless it ends at the noise."""
-    for exhaustive, left, tried in ((False, 9.0, 2), (True, 9.0, 3), (False, 2.0, 3)):
+    cases = ((FRICTION, False, 9.0, 2), (FRICTION, True, 9.0, 3), (FRICTION, False, 2.0, 3), (TICK, False, 9.0, 3))
+    for first, exhaustive, left, tried in cases:  # a tick has one form only, and leaves a tenth of that
         grown: list[tuple[str, ...]] = []
-        answers = {(): [found(50.0, FRICTION)], (FRICTION,): [found(left, FRICTION, GAIN)]}
+        answers = {(): [found(50.0, first)], (first,): [found(left, first, GAIN)]}
         monkeypatch.setattr(search, "exhaustive", exhaustive)
         told(monkeypatch, next_refits=growing(grown, answers), event_refits=lambda *_: [])
         refitted_sets(search, found(10_000.0))
-        assert len(grown) == tried, (exhaustive, left, grown)
+        assert len(grown) == tried, (first, exhaustive, left, grown)
 
 
 @pytest.mark.parametrize("known", [True, False])

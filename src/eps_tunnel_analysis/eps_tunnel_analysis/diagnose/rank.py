@@ -394,7 +394,12 @@ def with_form(kept: Array | float, base: Array | float, level: float, healthy: f
 
 def _kept(hypotheses: Sequence[Hypothesis]) -> Array:
     """(h,) how much of what its form may leave each hypothesis may."""
-    return np.array([max(h.inexact, SETTINGS.exact) for h in hypotheses])
+    return np.array([kept_of(h.inexact) for h in hypotheses])
+
+
+def kept_of(inexact: float) -> float:
+    """How much of what a form may leave effects may of which those of inexact form explain this share of a misfit."""
+    return max(inexact, SETTINGS.exact)
 
 
 def _gain(before: Array, after: Array) -> Array:

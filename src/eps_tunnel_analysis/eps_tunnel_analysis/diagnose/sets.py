@@ -21,7 +21,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     without,
 )
 from eps_tunnel_analysis.diagnose.guided import event_refits
-from eps_tunnel_analysis.diagnose.rank import with_form, worst_floors
+from eps_tunnel_analysis.diagnose.rank import kept_of, with_form, worst_floors
 from eps_tunnel_analysis.diagnose.refits import (
     Job,
     Refit,
@@ -112,7 +112,7 @@ def refitted_sets(
             more += rival_refits(search, better, [*refits, *more])
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
-        worth = _leads_on(search, base, on, best)
+        worth = _leads_on(search, base, on, best, refits)
     base, refits = nested_refits(search, base, refits)
     for _ in range(most):  # each effect of a set may have been chosen while another was wrong
         best = lowest([base, *refits])
@@ -397,8 +397,8 @@ def lacks_more(
     before = worst_floors(base.residuals, search.signal)
 
     def allowed(refit: Refit) -> float:
-        inexact = max(inexact_share(search, base, refit, refits), SETTINGS.exact)
-        return SETTINGS.unrepeated * float(with_form(inexact, before, level, healthy))
+        own = kept_of(inexact_share(search, base, refit, refits))
+        return SETTINGS.unrepeated * float(with_form(own, before, level, healthy))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
     return any(not _complete(search, r, allowed(r)) for r in (best, *rivals))
@@ -422,11 +422,12 @@ def explains(before: Refit, after: Refit) -> bool:
     return _falls(before.cost, after.cost)
 
 
-def _leads_on(search: Search, base: Refit, before: Refit, after: Refit) -> bool:
+def _leads_on(search: Search, base: Refit, before: Refit, after: Refit, refits: Sequence[Refit]) -> bool:
     """Whether a further effect explains enough to try one more: a good part of what was left, and either so much that
     it is needed or nearly all. Otherwise one more would be no more needed.
     """
-    needed = before.cost - after.cost >= SETTINGS.share * (base.cost - 1.0)
+    share = SETTINGS.share * kept_of(inexact_share(search, base, before, refits))
+    needed = before.cost - after.cost >= share * (base.cost - 1.0)
     nearly = _nearly_complete(search, after, SETTINGS.healthy)
     return explains(before, after) and (search.exhaustive or needed or nearly)
 
