@@ -178,17 +178,19 @@ def test_a_rival_that_does_most_by_itself_is_tried_though_the_drive_might_do_as_
 
 
 @pytest.mark.parametrize(
-    ("promised", "exhaustive", "fitted"), [(8.9, False, True), (9.1, False, False), (9.1, True, True)]
+    ("left", "promised", "exhaustive", "fitted"),
+    [(1.5, 4.4, False, True), (1.5, 4.6, False, False), (1.5, 4.6, True, True), (3.0, 40.0, False, True)],
 )
-def test_a_rival_that_promises_no_more_than_what_is_given_up_leaves_is_not_fitted(
-    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, promised: float, exhaustive: bool, fitted: bool
-) -> None:
+def test_beside_noise_a_rival_that_promises_no_more_than_what_is_given_up_leaves_is_not_fitted(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, left: float, promised: float, exhaustive: bool,
+    fitted: bool,
+) -> None:  # fmt: skip
     tried: list[Job] = []
     monkeypatch.setattr(search, "exhaustive", exhaustive)
     monkeypatch.setattr(search, "best_of", lambda jobs, *_: tried.extend(jobs) or [])
     point = partial(TrialPoint, values=search.start, promised=promised, on=0, alone=promised)
     monkeypatch.setattr(search, "trial_points", lambda _, candidates: [point(c) for c in candidates])
-    rival_refits(search, found(3.0, FRICTION), [found(50.0, LOAD)])
+    rival_refits(search, found(left, FRICTION), [found(50.0, LOAD)])
     assert bool(tried) is fitted
 
 
@@ -386,13 +388,12 @@ def test_ticks_that_promise_more_than_is_given_up_are_not_descended(
     search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     most: list[float] = []
-    answers = {(): [found(20.0, FRICTION)]}
-    told(monkeypatch, next_refits=growing([], answers), event_refits=lambda *_: [],
-         tick_refits=lambda _, __, ___, limit: most.append(limit) or [])  # fmt: skip
-    for exhaustive in (False, True):
+    told(monkeypatch, event_refits=lambda *_: [], tick_refits=lambda *given: most.append(given[-1]) or [])
+    for left, exhaustive in ((20.0, False), (1.4, False), (1.4, True)):  # far from the noise, a promise says too little
+        monkeypatch.setattr(sets_module, "next_refits", growing([], {(): [found(left, FRICTION)]}))
         monkeypatch.setattr(search, "exhaustive", exhaustive)
         refitted_sets(search, found(100.0))
-    assert most == [HOPELESS * 20.0, np.inf]
+    assert most == [np.inf, HOPELESS * 1.4, np.inf]
     monkeypatch.undo()
     (tick,) = (c for c in search.library.candidates if c.name == TICK)
     points = [TrialPoint(tick, search.start, promised, 0, promised) for promised in (2.0, 5.0)]

@@ -339,8 +339,12 @@ def tick_refits(search: Search, on: Sequence[Refit], allowed: float, most: float
 
 
 def _given_up(search: Search, best: Refit) -> float:
-    """Floors above which nothing is tried any more beside the best."""
-    return np.inf if search.exhaustive else HOPELESS * max(best.cost, 1.0)
+    """Floors that a set may promise at most, to be tried beside a best one that leaves only noise.
+
+    Where more is left a promise says too little: it is of one linear step, and a descent may end far below it.
+    """
+    noise = not search.exhaustive and best.cost <= SETTINGS.healthy
+    return HOPELESS * max(best.cost, 1.0) if noise else np.inf
 
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
@@ -348,8 +352,8 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
     were tried; each of several by any other that needs few starts, because it was chosen while the others were missing.
     The base values of the best are kept, because the drive is the same whatever is missing.
 
-    A set that was tried before is fitted again only if this promises a lower cost than it reached, and any only if it
-    promises no more than descents that are given up leave.
+    A set that was tried before is fitted again only if this promises a lower cost than it reached. Where the best
+    leaves only noise, any is only if it promises no more than descents that are given up leave.
     """
     known = {frozenset(r.effects): r.cost for r in tried}
     most = _given_up(search, best)
