@@ -419,3 +419,31 @@ def test_a_set_that_adds_nothing_is_not_descended_to_rest(
     monkeypatch.setattr(search, "refit", refit)
     settled(search, found(50.0), [found(1.0, GAIN), found(more, GAIN, LOAD), found(1.2, FRICTION)])
     assert {(GAIN,), (FRICTION,)} <= set(asked) and ((GAIN, LOAD) in asked) is rests
+
+
+@pytest.mark.parametrize(("left", "times"), [(4.0, 2), (1.1, 1)])
+@pytest.mark.parametrize("late", [False, True])
+def test_where_effects_only_led_to_a_better_base_they_are_sought_again_from_it(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, left: float, times: int, late: bool
+) -> None:
+    """If it still leaves something; what was found first says nothing about that."""
+    base, better, on = found(200.0), found(left), []
+
+    def next_refits(_: Search, points: Sequence[Refit], *__: object, **___: object) -> list[Refit]:
+        if points[0].effects:
+            return []
+        on.append(points[0].cost)
+        return [found(left, LOAD)] if points[0] is base else [found(0.9, FRICTION)]
+
+    def led(_: Search, start: Refit, refits: Any, *__: object) -> Any:
+        if late:
+            return (better, [found(left, LOAD)]) if start is base else (start, refits)
+        return better
+
+    told(monkeypatch, next_refits=next_refits, event_refits=lambda *_: [],
+         **{"nested_refits" if late else "better_base": led})  # fmt: skip
+    monkeypatch.setattr(sets_module, "_rested", lambda _, base, __: base)
+    _, refits = refitted_sets(search, base)
+    assert on == [200.0, left][:times]
+    assert ((FRICTION,) in [r.effects for r in refits]) is (times == 2)
+    assert (LOAD,) in [r.effects for r in refits]

@@ -74,6 +74,7 @@ def refitted_sets(
     base = _rested(search, base, allowed)
     if floor and _complete(search, base, allowed):
         return base, []
+    sought = base
     refits = next_refits(search, [base], more=stated_jobs(search, base))
     # An effect must not be named only because it led to a better start of the base.
     points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
@@ -87,6 +88,7 @@ def refitted_sets(
     best = lowest([base, *refits])
     worth = explains(base, best)
     lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
+    again = partial(_sought_again, search, sought, healthy=healthy, level=level, floor=floor, most=most)
     if lacking(best, refits):
         fitted = {r.effects: r for r in (base, best)}.values()
         ticks = tick_refits(
@@ -98,7 +100,7 @@ def refitted_sets(
         best = lowest([best, *more])
         worth = explains(base, best)
     if floor and lacking(best, refits) and not _helps(search, base, best):
-        return base, refits  # nothing explains what is missing, so that nothing beside it does
+        return again(base, refits) or (base, refits)  # nothing explains what is missing, so that nothing beside it does
     for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
         same = [r for r in refits if len(r.effects) == size]
         if not (worth and same and lacking(best, refits)):
@@ -114,6 +116,8 @@ def refitted_sets(
         best = lowest([best, *more])
         worth = _leads_on(search, base, on, best, refits)
     base, refits = nested_refits(search, base, refits)
+    if found := again(base, refits):
+        return found
     for _ in range(most):  # each effect of a set may have been chosen while another was wrong
         best = lowest([base, *refits])
         if not best.effects or frozenset(best.effects) in replaced:
@@ -125,6 +129,24 @@ def refitted_sets(
     base, refits = with_fewer_again(search, base, refits)
     base, refits = settled(search, base, refits)
     return base, refits
+
+
+def _sought_again(
+    search: Search, sought: Refit, base: Refit, refits: Sequence[Refit], healthy: float, level: float, floor: bool,
+    most: int,
+) -> tuple[Refit, list[Refit]] | None:  # fmt: skip
+    """What `refitted_sets` finds from the base, if that now explains what effects did beside the one that they were
+    sought from, and something is still left; None otherwise.
+
+    Effects that only led the drive out of a wrong valley say nothing about what is missing on top of the right one.
+    """
+    best = lowest([base, *refits])
+    if not explains(sought, base) or explains(base, best):
+        return None
+    if not lacks_more(search, base, best, refits, healthy, level, floor):
+        return None
+    base, more = refitted_sets(search, base, healthy, level, floor, most)
+    return base, best_by_set([*refits, *more])
 
 
 def _complete(search: Search, refit: Refit, allowed: float) -> bool:
