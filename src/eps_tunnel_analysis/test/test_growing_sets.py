@@ -447,3 +447,18 @@ def test_where_effects_only_led_to_a_better_base_they_are_sought_again_from_it(
     assert on == [200.0, left][:times]
     assert ((FRICTION,) in [r.effects for r in refits]) is (times == 2)
     assert (LOAD,) in [r.effects for r in refits]
+
+
+def test_pairs_grow_from_an_effect_that_fits_only_once_it_was_started_again(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grown: list[tuple[str, ...]] = []
+    answers = {(): [found(30.0, FRICTION)], (FRICTION,): [found(1.0, FRICTION, GAIN)]}
+
+    def nested(_: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
+        return base, [found(5.0, *r.effects) if r.effects == (FRICTION,) else r for r in refits]
+
+    told(monkeypatch, next_refits=growing(grown, answers), nested_refits=nested, event_refits=lambda *_: [])
+    _, refits = refitted_sets(search, found(29.0), floor=False)
+    assert grown == [(), (FRICTION,)]
+    assert {r.effects: r.cost for r in refits} == {(FRICTION,): 5.0, (FRICTION, GAIN): 1.0}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sets of effects that may explain what an axis lacks: single effects, then further ones on top of the best."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -101,6 +101,36 @@ def refitted_sets(
         worth = explains(base, best)
     if floor and lacking(best, refits) and not _helps(search, base, best):
         return again(base, refits) or (base, refits)  # nothing explains what is missing, so that nothing beside it does
+    grown = partial(_grown, search, lacking=lacking, replaced=replaced, allowed=allowed, most=most)
+    base, refits = nested_refits(search, base, grown(base, refits, worth))
+    if found := again(base, refits):
+        return found
+    if not any(r.several for r in refits) and explains(base, lowest([base, *refits])):  # which did not show before
+        base, refits = nested_refits(search, base, grown(base, refits, True))
+    for _ in range(most):  # each effect of a set may have been chosen while another was wrong
+        best = lowest([base, *refits])
+        if not best.effects or frozenset(best.effects) in replaced:
+            break
+        replaced.add(frozenset(best.effects))
+        refits = best_by_set([*refits, *rival_refits(search, best, refits)])
+    refits = best_by_set([*refits, *general_refits(search, refits)])
+    base, refits = started_again(search, *refined(search, base, refits), allowed)
+    base, refits = with_fewer_again(search, base, refits)
+    base, refits = settled(search, base, refits)
+    return base, refits
+
+
+def _grown(
+    search: Search, base: Refit, refits: Sequence[Refit], worth: bool,
+    lacking: Callable[[Refit, Sequence[Refit]], bool], replaced: set[frozenset[str]], allowed: float, most: int,
+) -> list[Refit]:  # fmt: skip
+    """The refits with further effects on top of the best, if these are `worth` it, one more each time.
+
+    Args:
+        lacking: whether the best of some refits leaves so much that more may be missing.
+        replaced: sets whose rivals were tried; it takes those of this function.
+    """
+    best, refits = lowest([base, *refits]), list(refits)
     for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
         same = [r for r in refits if len(r.effects) == size]
         if not (worth and same and lacking(best, refits)):
@@ -115,20 +145,7 @@ def refitted_sets(
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
         worth = _leads_on(search, base, on, best, refits)
-    base, refits = nested_refits(search, base, refits)
-    if found := again(base, refits):
-        return found
-    for _ in range(most):  # each effect of a set may have been chosen while another was wrong
-        best = lowest([base, *refits])
-        if not best.effects or frozenset(best.effects) in replaced:
-            break
-        replaced.add(frozenset(best.effects))
-        refits = best_by_set([*refits, *rival_refits(search, best, refits)])
-    refits = best_by_set([*refits, *general_refits(search, refits)])
-    base, refits = started_again(search, *refined(search, base, refits), allowed)
-    base, refits = with_fewer_again(search, base, refits)
-    base, refits = settled(search, base, refits)
-    return base, refits
+    return refits
 
 
 def _sought_again(
