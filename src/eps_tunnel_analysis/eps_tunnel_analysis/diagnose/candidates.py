@@ -259,9 +259,8 @@ def starts(candidate: Candidate) -> Array:
 
 
 def roundings(declared: Sequence[Parameter]) -> list[list[float]]:
-    """Typical values, and the other ways to round: of each value that is off at its lower bound the largest."""
-    typical = [p.typical for p in declared]
-    return [typical, *([*typical[:k], p.high, *typical[k + 1 :]] for k, p in enumerate(declared) if p.typical == p.low)]
+    """Typical values, with every way to round."""
+    return [list(row) for row in itertools.product(*(p.choices or (p.typical,) for p in declared))]
 
 
 def _with_ticks(rows: Sequence[Sequence[float]], ticks: Array) -> Array:

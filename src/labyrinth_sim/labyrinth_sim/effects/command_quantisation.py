@@ -4,6 +4,7 @@
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.filters import Map, rounded
 from labyrinth_sim.site import Site
+from labyrinth_sim.ticks import cut
 from labyrinth_sim.trials import Array
 
 WHOLE = 1e-9  # of a tick: a target of whole ticks stays, whatever the last bits of its number
@@ -22,17 +23,7 @@ EFFECT = Effect(
     equation="u' = q round(u / q - c)",
     parameters=(
         Parameter("tick", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of a 10-bit register over 300 deg (5.1 mrad)"),
-        Parameter(
-            "cut",
-            "1",
-            0.0,
-            0.5,
-            None,
-            0.0,
-            "0 where targets are rounded, 0.5 where the fraction is cut off",
-            settled=True,
-            choices=(0.0, 0.5),
-        ),
+        cut("targets"),
     ),
     stage="command",
     mark="The axis moves in stairs under a slow ramp and stands still under changes of the command below one tick.",

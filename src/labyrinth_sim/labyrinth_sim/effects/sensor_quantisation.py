@@ -4,6 +4,7 @@
 from labyrinth_sim.effect import Effect, Parameter, Values
 from labyrinth_sim.filters import Map, dithered
 from labyrinth_sim.site import Site
+from labyrinth_sim.ticks import cut
 from labyrinth_sim.trials import Array
 
 
@@ -24,17 +25,7 @@ EFFECT = Effect(
         Parameter(
             "noise", "rad", 0.0, 0.01, None, 0.0006, "none to two ticks of such a converter; 0 is one clean trial"
         ),
-        Parameter(
-            "cut",
-            "1",
-            0.0,
-            0.5,
-            None,
-            0.0,
-            "0 where angles are rounded, 0.5 where the fraction is cut off",
-            settled=True,
-            choices=(0.0, 0.5),
-        ),
+        cut("angles"),
     ),
     stage="measurement",
     mark="One signal takes few values, all multiples of one angle.",
