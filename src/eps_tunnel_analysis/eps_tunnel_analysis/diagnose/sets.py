@@ -48,9 +48,12 @@ RIVALS = 4  # of an effect that are refitted in its place
 RIVALS_ALONE = 2  # more, those that do most for it while the base values stay as they are
 RUNNERS_UP = 2  # on which one more effect is tried, as on the best, if they leave no more than
 RUNNING = 4.0  # times what the best leaves
-NEAR_COMPLETE = 2.0  # times what counts as nothing missing; a base that leaves less is descended until it rests
+NEAR_COMPLETE = 2.0  # times what counts as nothing missing; what leaves less is nearly complete
 SETTLED_ROUNDS = 12  # at most, of the sets near the best, in the end
 SOFTENED = 3  # best sets that are tried with friction of the model that sets in gradually
+
+Lacking = Callable[[Refit, Refit, Sequence[Refit]], bool]
+"""Whether, beside a base, the best of some refits leaves so much that more may be missing."""
 
 
 def refitted_sets(
@@ -86,10 +89,11 @@ def refitted_sets(
         refits = best_by_set([*refits, *rival_refits(search, best, refits)])
     base, refits = started_again(search, *refined(search, base, refits), allowed)
     best = lowest([base, *refits])
-    worth = explains(base, best)
-    lacking = partial(lacks_more, search, base, healthy=healthy, level=level, floor=floor)
-    again = partial(_sought_again, search, sought, healthy=healthy, level=level, floor=floor, most=most)
-    if lacking(best, refits):
+    lacking = partial(lacks_more, search, healthy=healthy, level=level, floor=floor)
+    seek = partial(refitted_sets, search, healthy=healthy, level=level, floor=floor, most=most)
+    again = partial(_sought_again, sought, lacking=lacking, seek=seek)
+    grown = partial(_grown, search, lacking=lacking, replaced=replaced, allowed=allowed, most=most)
+    if lacking(base, best, refits):
         fitted = {r.effects: r for r in (base, best)}.values()
         ticks = tick_refits(
             search, [*fitted, *_beginnings(search, base, best, refits, allowed)], allowed, _given_up(search, best)
@@ -98,15 +102,14 @@ def refitted_sets(
         more = [*ticks, *(event_refits(search, [*fitted], allowed) if show else [])]
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
-        worth = explains(base, best)
-    if floor and lacking(best, refits) and not _helps(search, base, best):
+    if floor and lacking(base, best, refits) and not _helps(search, base, best):
         return again(base, refits) or (base, refits)  # nothing explains what is missing, so that nothing beside it does
-    grown = partial(_grown, search, lacking=lacking, replaced=replaced, allowed=allowed, most=most)
-    base, refits = nested_refits(search, base, grown(base, refits, worth))
+    tried = _calls_for_more(base, refits, lacking)
+    base, refits = nested_refits(search, base, grown(base, refits) if tried else refits)
     if found := again(base, refits):
         return found
-    if not any(r.several for r in refits) and explains(base, lowest([base, *refits])):  # which did not show before
-        base, refits = nested_refits(search, base, grown(base, refits, True))
+    if not tried and _calls_for_more(base, refits, lacking):  # an effect may show only now that it was started again
+        base, refits = nested_refits(search, base, grown(base, refits))
     for _ in range(most):  # each effect of a set may have been chosen while another was wrong
         best = lowest([base, *refits])
         if not best.effects or frozenset(best.effects) in replaced:
@@ -120,20 +123,25 @@ def refitted_sets(
     return base, refits
 
 
+def _calls_for_more(base: Refit, refits: Sequence[Refit], lacking: Lacking) -> bool:
+    """Whether the best of some refits explains enough to continue from, and leaves something."""
+    best = lowest([base, *refits])
+    return explains(base, best) and lacking(base, best, refits)
+
+
 def _grown(
-    search: Search, base: Refit, refits: Sequence[Refit], worth: bool,
-    lacking: Callable[[Refit, Sequence[Refit]], bool], replaced: set[frozenset[str]], allowed: float, most: int,
+    search: Search, base: Refit, refits: Sequence[Refit], lacking: Lacking, replaced: set[frozenset[str]],
+    allowed: float, most: int,
 ) -> list[Refit]:  # fmt: skip
-    """The refits with further effects on top of the best, if these are `worth` it, one more each time.
+    """The refits with further effects on top of the best, which calls for more, one more each time.
 
     Args:
-        lacking: whether the best of some refits leaves so much that more may be missing.
         replaced: sets whose rivals were tried; it takes those of this function.
     """
-    best, refits = lowest([base, *refits]), list(refits)
+    best, refits, worth = lowest([base, *refits]), list(refits), True
     for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
         same = [r for r in refits if len(r.effects) == size]
-        if not (worth and same and lacking(best, refits)):
+        if not (worth and same and lacking(base, best, refits)):
             break
         on = lowest(same)
         beside = _beginnings(search, base, on, refits, allowed) if size == 1 else []
@@ -149,20 +157,21 @@ def _grown(
 
 
 def _sought_again(
-    search: Search, sought: Refit, base: Refit, refits: Sequence[Refit], healthy: float, level: float, floor: bool,
-    most: int,
+    sought: Refit, base: Refit, refits: Sequence[Refit], lacking: Lacking,
+    seek: Callable[[Refit], tuple[Refit, list[Refit]]],
 ) -> tuple[Refit, list[Refit]] | None:  # fmt: skip
-    """What `refitted_sets` finds from the base, if that now explains what effects did beside the one that they were
-    sought from, and something is still left; None otherwise.
+    """What `seek` finds from the base, if that now explains what effects did beside the one that they were sought from,
+    and something is still left; None otherwise.
 
     Effects that only led the drive out of a wrong valley say nothing about what is missing on top of the right one.
+
+    Args:
+        seek: `refitted_sets` from a base, as it was called.
     """
     best = lowest([base, *refits])
-    if not explains(sought, base) or explains(base, best):
+    if not explains(sought, base) or explains(base, best) or not lacking(base, best, refits):
         return None
-    if not lacks_more(search, base, best, refits, healthy, level, floor):
-        return None
-    base, more = refitted_sets(search, base, healthy, level, floor, most)
+    base, more = seek(base)
     return base, best_by_set([*refits, *more])
 
 
