@@ -336,15 +336,15 @@ class Search:
 
         def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
             values = np.clip(self.low + z * self.spans, self.low, self.high)
-            expected = np.sqrt(SETTINGS.correlated) * residual_of(self._off(values))
+            expected = np.sqrt(SETTINGS.correlated) * residual_of(self._off(values)[:, stated])
             return np.concatenate([self.residuals(values, level) + more[owners], expected], axis=1)
 
-        size = len(self.used)
+        size, stated = len(self.used), self.firmness > 0.0
         begun = (np.array([start for _, start in jobs]) - self.low) / self.spans
         cheaper = partial(scaled, level="coarse") if level != "coarse" else None
         hopeless = None
         if race is not None and not self.exhaustive:
-            hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + len(self.start)))
+            hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + stated.sum()))
         result = descend(scaled, begun, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
                          width=width, near=None if self.exhaustive else STANDS, certain=level == "exact")  # fmt: skip
         values = np.clip(self.low + result.z * self.spans, self.low, self.high)
