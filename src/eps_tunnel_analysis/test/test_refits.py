@@ -284,11 +284,15 @@ def test_an_effect_is_contained_only_without_what_the_other_one_cannot_do(
     search: Search, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(search, "judged", lambda jobs, rounds: [])
-    narrow, wide = FRICTIONS[0] + ".x", FRICTIONS[1] + ".x"
-    for bearings, converged in ((0.0, False), (0.0005, False), (0.2, True)):  # the second is off, within what shows
-        smaller = refit(search, (narrow,), 2.0, share=0.1, bearings=bearings)
-        _, found = nested_refits(search, refit(search, (), 9.0), [smaller, refit(search, (wide,), 4.0)])
-        assert {r.effects: r.converged for r in found}[(wide,)] is converged
+    narrow, wide = (search.library.find(name + ".x") for name in FRICTIONS)
+    rows = tuple(row for row in wide.effect.contains if row[0] != "bearings")
+    less = replace(wide, effect=replace(wide.effect, contains=rows))
+    for own, bearings, converged in ((less, 0.0, False), (less, 0.0005, False), (less, 0.2, True), (wide, 0.2, False)):
+        search.library = replace(search.library, candidates=(narrow, own))  # the second is off, within what shows
+        smaller = refit(search, (narrow.name,), 2.0, share=0.1)
+        smaller.values[search.columns(narrow)[1]] = bearings
+        _, found = nested_refits(search, refit(search, (), 9.0), [smaller, refit(search, (wide.name,), 4.0)])
+        assert {r.effects: r.converged for r in found}[(wide.name,)] is converged
 
 
 def test_it_is_started_again_from_the_one_that_it_contains(search: Search) -> None:

@@ -296,8 +296,8 @@ def test_direction_friction(model_of: ModelOf, torque: float, sign: float) -> No
 @checks("load_friction", "F = mu |motor torque - load torque| + nu |load torque|; torque = -F sign(speed)")
 @checks(
     "directional_load_friction",
-    "F = mu |motor torque - load torque|, mu = mu_1 where the motor is the stronger, else mu_2; "
-    "torque = -F sign(speed)",
+    "F = mu |motor torque - load torque| + nu |load torque|, mu = mu_1 where the motor is the stronger, "
+    "else mu_2; torque = -F sign(speed)",
 )
 @pytest.mark.parametrize("speed", [3.0, -3.0])
 @pytest.mark.parametrize("motor", [0.5, 0.1, -0.5])  # N m, beside 0.196 N m of the arm's weight
@@ -307,6 +307,7 @@ def test_direction_friction(model_of: ModelOf, torque: float, sign: float) -> No
         ("load_friction", {"share": 0.3}),
         ("load_friction", {"share": 0.1, "bearings": 0.5}),
         ("directional_load_friction", {"driving": 0.1, "driven": 0.4}),
+        ("directional_load_friction", {"driving": 0.2, "driven": 0.1, "bearings": 0.4}),
     ],
 )
 def test_friction_under_load(
