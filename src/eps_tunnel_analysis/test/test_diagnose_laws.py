@@ -548,7 +548,7 @@ def test_an_axis_within_the_noise_is_not_called_unknown_for_what_another_one_lac
     assert rank(base, [right], folds, runs, 10, signals=runs, asked=elbow).unknown > 0.9
     shoulder = rank(base, [right], folds, runs, 10, signals=runs, asked=~elbow)
     assert shoulder.unknown < 0.05
-    assert shoulder.marginals["constant_torque.shoulder"] > itself(0.9, 1)
+    assert shoulder.marginals["constant_torque.shoulder"] > itself(0.9)
 
 
 def part_of(axis: str, rough: str) -> AxisPart:
@@ -591,8 +591,8 @@ def test_what_is_found_together_is_told_axis_by_axis() -> None:
     parts = {"elbow": ranking, "shoulder": Ranking(ranked[:1], 0.3)}
     found = AxisDiagnosis(part, search, base, (after,), (), ranking, ranking, parts=parts)
     shoulder, elbow = (axis_verdict(found, name, hidden) for name in part.axes)
-    assert shoulder.marginals == {hidden[0]: pytest.approx(itself(0.7, 1))}
-    assert elbow.marginals == {hidden[1]: pytest.approx(itself(0.7, 1))}
+    assert shoulder.marginals == {hidden[0]: pytest.approx(itself(0.7))}
+    assert elbow.marginals == {hidden[1]: pytest.approx(itself(0.7))}
     assert (shoulder.none, elbow.none) == (0.0, pytest.approx(0.26))
     assert (shoulder.unknown, elbow.unknown) == (0.3, 0.04)
     assert (shoulder.floors, elbow.floors) == ((9.0, 1.0), (4.0, 0.25))

@@ -27,7 +27,7 @@ def verdict(probabilities: Mapping[str, float]) -> Verdict:
     found = {NONE: 0.0, UNKNOWN: 0.0, **probabilities}
     kind, effects, stated = decide(found, 0.9)
     names = {effect for name in probabilities for effect in name.split(" + ") if name not in (NONE, UNKNOWN)}
-    marginals = {n: itself(sum(p for name, p in probabilities.items() if n in name.split(" + ")), 1) for n in names}
+    marginals = {n: itself(sum(p for name, p in probabilities.items() if n in name.split(" + "))) for n in names}
     axis = AxisVerdict(marginals, found[NONE], found[UNKNOWN], {}, {}, (9.0, 1.0), (), ())
     nothing = Errors(0.0, 0.0, 0.0)
     return Verdict(

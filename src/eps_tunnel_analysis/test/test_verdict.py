@@ -37,14 +37,14 @@ def test_part_of_what_is_named_may_be_something_that_behaves_like_it() -> None:
     found = with_imitated({"a.x": 0.6, "a.x + b.y": 0.3, NONE: 0.06, UNKNOWN: 0.04})
     assert sum(found.values()) == pytest.approx(1.0)
     assert found["a.x"] == pytest.approx(0.6 * itself)
-    assert found["a.x + b.y"] == pytest.approx(0.3 * itself**2), "each of two may be imitated"
+    assert found["a.x + b.y"] == pytest.approx(0.3 * itself), "whatever their number"
     assert (found[NONE], found[UNKNOWN]) == (0.06, 0.04), "what names nothing is imitated by nothing"
     assert list(found) == sorted(found, key=lambda name: -found[name]), "most probable first"
     assert with_imitated({NONE: 1.0, UNKNOWN: 0.0}) == {NONE: 1.0, UNKNOWN: 0.0}
     said = sentence("effect", ("a.x",), ("a.x",), with_imitated({"a.x": 0.99, NONE: 0.01}), {}, Registry.load())
-    assert said == "The model lacks a on x (76%), or something that behaves like it (23%)."
+    assert said == "The model lacks a on x (74%), or something that behaves like it (25%)."
     said = sentence("undecided", ("a.x",), ("a.x", "b.x"), with_imitated({"a.x": 0.5, "b.x": 0.5}), {}, Registry.load())
-    assert said.endswith("between a on x (38%) and b on x (38%); something else may behave like them (23%).")
+    assert said.endswith("between a on x (38%) and b on x (38%); something else may behave like them (25%).")
 
 
 def test_axes_are_joined_as_products() -> None:

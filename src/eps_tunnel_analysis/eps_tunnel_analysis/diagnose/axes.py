@@ -114,7 +114,7 @@ def axis_verdict(axis: AxisDiagnosis, name: str, named: Collection[str]) -> Axis
     own = {c.name for c in axis.search.library.candidates if axis.part.axes == (name,) or name in c.axes}
     here = [r for r in ranking.ranked if own & set(r.effects)]
     return AxisVerdict(
-        marginals={effect: itself(p, 1) for effect, p in ranking.marginals.items() if effect in own},
+        marginals={effect: itself(p) for effect, p in ranking.marginals.items() if effect in own},
         none=sum(r.probability for r in ranking.ranked if not own & set(r.effects)),
         unknown=ranking.unknown,
         explained={r.name: (r.explained, *r.explained_interval) for r in here},
@@ -122,6 +122,6 @@ def axis_verdict(axis: AxisDiagnosis, name: str, named: Collection[str]) -> Axis
         floors=(axis.floors(axis.base, name), axis.floors(after, name)),
         not_converged=tuple(" + ".join(r.effects) for r in axis.refits
                             if own & set(r.effects) and not r.converged),
-        ranking=tuple(replace(r, probability=itself(r.probability, len(r.effects)))
+        ranking=tuple(replace(r, probability=r.itself)
                       for r in ranking.ranked if r in here or not r.effects),
     )  # fmt: skip

@@ -88,6 +88,11 @@ class Ranked:
     def name(self) -> str:
         return name_of(self.effects)
 
+    @property
+    def itself(self) -> float:
+        """Its probability without the part that is for something which behaves like its effects."""
+        return itself(self.probability) if self.effects else self.probability
+
 
 @dataclass(frozen=True)
 class Ranking:
@@ -563,14 +568,14 @@ def with_overlooked(probabilities: Mapping[str, float]) -> dict[str, float]:
     return ordered({**probabilities, UNKNOWN: probabilities[UNKNOWN] - missed, OVERLOOKED: missed})
 
 
-def itself(probability: float, effects: int) -> float:
-    """The part of the probability of so many effects that is for them, and not for something that behaves like them."""
-    return probability * (1.0 - SETTINGS.imitated) ** effects
+def itself(probability: float) -> float:
+    """The part of the probability of a set of effects that is for it, and not for something that behaves like it."""
+    return probability * (1.0 - SETTINGS.imitated)
 
 
 def with_imitated(probabilities: Mapping[str, float]) -> dict[str, float]:
-    """The probabilities with a part of each effect's for what behaves like it."""
-    kept = {n: p if n in NAMELESS else itself(p, len(n.split(" + "))) for n, p in probabilities.items()}
+    """The probabilities with a part of each set's for what behaves like it."""
+    kept = {n: p if n in NAMELESS else itself(p) for n, p in probabilities.items()}
     others = sum(probabilities.values()) - sum(kept.values())
     return ordered({**kept, IMITATED: others}) if others >= LEAST else dict(probabilities)
 

@@ -246,7 +246,7 @@ def sentence(
 def _part(axis: str, verdict: AxisVerdict, registry: Registry) -> str:
     """What is clear about one axis by itself; empty if nothing is."""
     before, _ = verdict.floors
-    clear = [name for name, p in verdict.marginals.items() if p >= itself(SETTINGS.clear, 1)]
+    clear = [name for name, p in verdict.marginals.items() if p >= itself(SETTINGS.clear)]
     if clear:
         named = " and ".join(f"{in_words(name, registry)} ({percent(verdict.marginals[name])})" for name in clear)
         start, alone = f"{named[0].upper()}{named[1:]}", verdict.explained.get(name_of(clear))

@@ -179,7 +179,7 @@ def chosen_effects(verdict: Verdict, registry: Registry) -> tuple[tuple[str, ...
         return (), ""
     marginals = {name: p for axis in verdict.axes.values() for name, p in axis.marginals.items()}
     named = [name.split(" + ") for name in sets]
-    shared = [n for n in named[0] if all(n in other for other in named) and marginals.get(n, 0.0) > itself(LIKELY, 1)]
+    shared = [n for n in named[0] if all(n in other for other in named) and marginals.get(n, 0.0) > itself(LIKELY)]
     if shared:
         words = " and ".join(in_words(name, registry) for name in shared)
         if len(sets) == 1:

@@ -8,7 +8,7 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.axes import Diagnosis
 from eps_tunnel_analysis.diagnose.ball import part_name
 from eps_tunnel_analysis.diagnose.falls import RECORDING_COLUMNS, by_recording, fall_sentences
-from eps_tunnel_analysis.diagnose.rank import IMITATED, NONE, OVERLOOKED, UNKNOWN, itself
+from eps_tunnel_analysis.diagnose.rank import IMITATED, NONE, OVERLOOKED, UNKNOWN
 from eps_tunnel_analysis.diagnose.verdict import in_words, percent
 from eps_tunnel_analysis.outputs import shown_share, shown_unit, shown_value
 from eps_tunnel_analysis.phases import channel_of, mean_command
@@ -107,7 +107,7 @@ def ranking(diagnosis: Diagnosis) -> Section:
         rows: list[tuple[str, str, str | Bar, str, str]] = []
         for r in axis.ranking.ranked[:LISTED_CANDIDATES]:
             share, (low, high) = max(r.explained, 0.0), r.explained_interval
-            sure = percent(itself(r.probability, len(r.effects)))
+            sure = percent(r.itself)
             rows.append((r.name, sure, Bar(share, f"{share:.0%} ({low:.0%} to {high:.0%})"),
                          f"{r.cost:.2f}", f"{r.held_out:.2f}"))  # fmt: skip
         rows.append(("something unknown", percent(axis.ranking.unknown), "", "", ""))
