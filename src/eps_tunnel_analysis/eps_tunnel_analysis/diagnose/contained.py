@@ -123,9 +123,14 @@ def with_fewer_again(search: Search, base: Refit, refits: Sequence[Refit]) -> tu
     return base_and_sets([base, *refits, *again])
 
 
+def complete(search: Search, refit: Refit, allowed: float = SETTINGS.healthy) -> bool:
+    """Whether a refit leaves too little for more to be looked for; `allowed` floors count as nothing missing."""
+    return worst_floors(refit.residuals, search.signal) <= SETTINGS.close * allowed
+
+
 def leaves_something(search: Search, refit: Refit) -> bool:
     """Whether a refit leaves more than noise, so that another valley may fit better."""
-    return search.exhaustive or worst_floors(refit.residuals, search.signal) > SETTINGS.close * SETTINGS.healthy
+    return search.exhaustive or not complete(search, refit)
 
 
 def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:

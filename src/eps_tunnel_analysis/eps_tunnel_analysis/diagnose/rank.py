@@ -34,6 +34,7 @@ LEAST = 1e-4  # probabilities below are not listed
 FEWEST = 30  # samples of a signal that is judged by itself
 ALIKE = 1e-6  # share of a value's influence below which others could do the same, as seen by finite differences
 TINY = 1e-12
+UNAIDED = 2.0 * SETTINGS.width  # log of the times above what is healthy from which no effect has to explain it
 
 
 @shown
@@ -335,11 +336,7 @@ def _probabilities(
     base, remaining = worst[:, 0], worst[:, 1:]
     if not len(hypotheses):
         # As if something had been tried that explains no more.
-        lacking = (
-            _soft(np.log(np.maximum(base, 1e-12) / SETTINGS.healthy) - 2.0 * SETTINGS.width)
-            if floor
-            else np.zeros_like(base)
-        )
+        lacking = _soft(np.log(np.maximum(base, 1e-12) / SETTINGS.healthy) - UNAIDED) if floor else np.zeros_like(base)
         return 1.0 - lacking, remaining, lacking
     known = 1.0 + SETTINGS.form * np.maximum(np.maximum(costs[:, 0], level) - 1.0, 0.0)  # because no form is exact
     before = np.maximum(base, level)
@@ -369,7 +366,7 @@ def _probabilities(
         return 1.0 - named.sum(axis=1), named, np.zeros_like(none)
     # What is little enough for a healthy rig is missing only as far as it also predicts what it was not fitted to.
     fitted, predicted = _gain(base, remaining.min(axis=1)), _gain(costs[:, 0], costs[:, 1:].min(axis=1))
-    gain = np.maximum(np.minimum(fitted, predicted), _gain(base, curve)) - 2.0 * SETTINGS.width
+    gain = np.maximum(np.minimum(fitted, predicted), _gain(base, curve)) - UNAIDED
     allowed = with_form(0.0, 1.0, level)
     none = 1.0 - _soft(np.log(np.maximum(base, 1e-12) / allowed) + np.minimum(gain, 0.5))
     # A sum of effects may leave nothing for its forms where one curve does without: it may only imitate that one.

@@ -13,6 +13,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     NEAR_BEST,
     ROUNDS,
     STARTS_EACH,
+    complete,
     general_refits,
     leaves_something,
     nested_refits,
@@ -75,7 +76,7 @@ def refitted_sets(
     if not search.library.candidates:
         return base, []
     base = _rested(search, base, allowed)
-    if floor and _complete(search, base, allowed):
+    if floor and complete(search, base, allowed):
         return base, []
     sought = base
     refits = next_refits(search, [base], more=stated_jobs(search, base))
@@ -175,11 +176,6 @@ def _sought_again(
     return base, best_by_set([*refits, *more])
 
 
-def _complete(search: Search, refit: Refit, allowed: float) -> bool:
-    """Whether a refit leaves too little for more to be looked for; `allowed` floors count as nothing missing."""
-    return worst_floors(refit.residuals, search.signal) <= SETTINGS.close * allowed
-
-
 def _nearly_complete(search: Search, refit: Refit, allowed: float) -> bool:
     """Whether a refit leaves little more than what counts as nothing missing, `allowed` floors."""
     return worst_floors(refit.residuals, search.signal) <= NEAR_COMPLETE * allowed
@@ -189,10 +185,10 @@ def _rested(search: Search, base: Refit, allowed: float) -> Refit:
     """The base where it leaves little more than a healthy rig: its descents go on until it rests, with shorter steps if
     it needs these. What they stopped short of would be taken for something missing, and the whole library tried.
     """
-    if _complete(search, base, allowed) or not _nearly_complete(search, base, allowed):
+    if complete(search, base, allowed) or not _nearly_complete(search, base, allowed):
         return base
     base, _ = refined(search, base, [])
-    return base if _complete(search, base, allowed) else settled(search, base, [])[0]
+    return base if complete(search, base, allowed) else settled(search, base, [])[0]
 
 
 def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
@@ -255,7 +251,7 @@ def started_again(search: Search, base: Refit, refits: Sequence[Refit], allowed:
     `allowed` floors: while an effect is missing, its misfit hides that of the pose.
     """
     best, joints = lowest([base, *refits]), sensed_joints(search)
-    if not best.effects or not joints or _complete(search, best, allowed):
+    if not best.effects or not joints or complete(search, best, allowed):
         return base, list(refits)
     search.settle_start(best, joints)
     every = [base, *refits]
@@ -445,7 +441,7 @@ def lacks_more(
     well, too, whose form may leave less.
     """
     if floor:
-        return not _complete(search, best, healthy)
+        return not complete(search, best, healthy)
     before = worst_floors(base.residuals, search.signal)
 
     def allowed(refit: Refit) -> float:
@@ -453,7 +449,7 @@ def lacks_more(
         return SETTINGS.unrepeated * float(with_form(own, before, level, healthy))
 
     rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
-    return any(not _complete(search, r, allowed(r)) for r in (best, *rivals))
+    return any(not complete(search, r, allowed(r)) for r in (best, *rivals))
 
 
 def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:

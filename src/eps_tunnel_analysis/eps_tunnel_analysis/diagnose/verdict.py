@@ -12,6 +12,7 @@ from eps_tunnel_analysis.diagnose.rank import (
     NAMELESS,
     NONE,
     OVERLOOKED,
+    UNAIDED,
     UNEXPLAINED,
     UNKNOWN,
     Ranked,
@@ -219,7 +220,7 @@ def sentence(
         )
     if kind == "complete":
         # More than this is left only beside effects that were added before, as an error of their forms.
-        most = SETTINGS.healthy * exp(2.0 * SETTINGS.width)
+        most = SETTINGS.healthy * exp(UNAIDED)
         left = [f"{shown_number(v.floors[0])} floors on {axis}" for axis, v in axes.items() if v.floors[0] > most]
         if left:
             return (
