@@ -147,19 +147,22 @@ def test_what_the_rivals_of_the_last_set_led_to_has_rivals_too(
     assert min(refits, key=lambda r: r.cost).effects == (FRICTION, GAIN)
 
 
-@pytest.mark.parametrize("others", [(), (TICK,)])
-def test_any_effect_may_replace_one_of_several_and_only_a_rival_one_alone(
-    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, others: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize(
+    ("others", "exhaustive", "by_any"),
+    [((), False, False), ((), True, False), ((TICK,), False, True), ((TICK, WAVES), False, False),
+     ((TICK, WAVES), True, True)],
+)  # fmt: skip
+def test_any_effect_may_replace_one_of_two_and_only_a_rival_one_alone_or_one_of_three(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, others: tuple[str, ...], exhaustive: bool,
+    by_any: bool,
+) -> None:  # fmt: skip
     looked: set[str] = set()
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
     monkeypatch.setattr(search, "trial_points", lambda _, candidates: looked.update(c.name for c in candidates) or [])
     rival_refits(search, found(3.0, FRICTION, *others), [])
     quick = {c.name for c in search.library.candidates if len(starts(c)) <= FEW_STARTS}
     assert GAIN in quick and WAVES not in quick
-    if others:
-        assert quick - {FRICTION} <= looked
-    else:
-        assert LOAD in looked and GAIN not in looked
+    assert LOAD in looked and (quick - {FRICTION} <= looked) is by_any
 
 
 def test_a_rival_that_does_most_by_itself_is_tried_though_the_drive_might_do_as_much_with_any(

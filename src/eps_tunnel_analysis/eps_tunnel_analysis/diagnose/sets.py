@@ -393,15 +393,16 @@ def _given_up(search: Search, best: Refit) -> float:
 
 def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Refit]:
     """The best with each of its effects replaced by another: by its declared rivals, and by effects of other sets that
-    were tried; each of several by any other that needs few starts, because it was chosen while the others were missing.
-    The base values of the best are kept, because the drive is the same whatever is missing.
+    were tried; each of two by any other that needs few starts, because it was chosen while the other was missing, and
+    for the two of three that was tried before. The base values of the best are kept, because the drive is the same
+    whatever is missing.
 
     A set that was tried before is fitted again only if this promises a lower cost than it reached. Where the best
     leaves only noise, any is only if it promises no more than descents that are given up leave.
     """
     known = {frozenset(r.effects): r.cost for r in tried}
     most = _given_up(search, best)
-    several = len(best.effects) > 1
+    by_any = len(best.effects) == 2 or (best.several and search.exhaustive)
     jobs: list[Job] = []
     for name in best.effects:
         effect, registry = search.library.find(name).effect.name, search.library.model.registry
@@ -410,7 +411,7 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         rest = frozenset(other.name for other in others)
         candidates = [c for c in search.library.candidates if c.name not in best.effects
                       and (c.effect.name in mistaken or rest | {c.name} in known
-                           or (several and _quick(c)))]  # fmt: skip
+                           or (by_any and _quick(c)))]  # fmt: skip
         if not candidates:
             continue
         bare = replace(search.at(values, best), effects=tuple(o.name for o in others))
