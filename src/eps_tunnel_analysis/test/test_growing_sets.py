@@ -424,6 +424,58 @@ def test_a_set_that_adds_nothing_is_not_descended_to_rest(
     assert {(GAIN,), (FRICTION,)} <= set(asked) and ((GAIN, LOAD) in asked) is rests
 
 
+ADDING = pytest.mark.parametrize(
+    ("alone", "exhaustive", "tried"), [(3.4, False, False), (3.4, True, True), (3.6, False, True)]
+)
+
+
+@ADDING
+def test_a_set_that_adds_nothing_has_no_general_forms(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, alone: float, exhaustive: bool, tried: bool
+) -> None:
+    given: list[Job] = []
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    monkeypatch.setattr(search, "best_of", lambda jobs, *_: given.extend(jobs) or [])
+    general_refits(search, [found(3.0, FRICTION, LIMIT), found(alone, FRICTION)])
+    assert bool(given) is tried
+
+
+@ADDING
+def test_a_set_that_adds_nothing_is_not_judged_again_in_another_pose(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, alone: float, exhaustive: bool, tried: bool
+) -> None:
+    asked: list[tuple[str, ...]] = []
+    rows = {(FRICTION, GAIN): 3.0, (FRICTION,): alone, (): 50.0}
+
+    def judged(jobs: Sequence[Job], _: int) -> list[Refit]:
+        asked.extend(tuple(c.name for c in candidates) for candidates, _ in jobs)
+        return [found(1.0, *(c.name for c in candidates)) for candidates, _ in jobs]
+
+    refits = [found(cost, *effects) for effects, cost in rows.items()]
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    monkeypatch.setattr(search, "settle_start", lambda *_: None)
+    monkeypatch.setattr(search, "judged", judged)
+    monkeypatch.setattr(search, "settle_at", lambda *_: None)
+    monkeypatch.setattr(
+        search, "residuals", lambda *_: np.array([refits[2].residuals, *(r.residuals for r in refits[:2])])
+    )
+    started_again(search, refits[2], refits[:2], 1.6)
+    assert (FRICTION,) in asked and ((FRICTION, GAIN) in asked) is tried
+
+
+@pytest.mark.parametrize(("pair", "exhaustive", "tried"), [(4.0, False, True), (8.0, False, False), (8.0, True, True)])
+def test_of_two_effects_rivals_are_tried_only_if_the_second_explains_something(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, pair: float, exhaustive: bool, tried: bool
+) -> None:
+    asked: list[tuple[str, ...]] = []
+    answers = {(): [found(9.0, FRICTION)], (FRICTION,): [found(pair, FRICTION, GAIN)]}
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    told(monkeypatch, next_refits=growing([], answers), event_refits=lambda *_: [],
+         rival_refits=lambda _, best, __: asked.append(best.effects) or [])  # fmt: skip
+    refitted_sets(search, found(50.0))
+    assert ((FRICTION, GAIN) in asked) is tried
+
+
 @pytest.mark.parametrize(("left", "times"), [(4.0, 2), (1.1, 1)])
 @pytest.mark.parametrize("late", [False, True])
 def test_where_effects_only_led_to_a_better_base_they_are_sought_again_from_it(

@@ -52,15 +52,17 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
 
 
 def general_refits(search: Search, refits: Sequence[Refit]) -> list[Refit]:
-    """Those near the best that leave something, with an effect replaced by a more general form that is not known to fit
-    materially better. It starts from the simple form's values, with each value of its own that the simple one lacks.
+    """Those near the best that leave something, and add something to fewer of their effects, with an effect replaced by
+    a more general form that is not known to fit materially better. It starts from the simple form's values, with each
+    value of its own that the simple one lacks.
 
     Where it only imitates the simple form, a general one may have no slope that leads away.
     """
     known = {frozenset(r.effects): r.cost for r in refits}
     best = min(known.values(), default=0.0)
     jobs: list[Job] = []
-    for refit in (r for r in refits if r.cost < NEAR_BEST * best and leaves_something(search, r)):
+    near = [r for r in refits if r.cost < NEAR_BEST * best and leaves_something(search, r)]
+    for refit in that_add_something(search, near, refits):
         for name, general in itertools.product(refit.effects, search.library.candidates):
             wider = replace(refit, effects=(*(n for n in refit.effects if n != name), general.name))
             shared = _shared(general, search.library.find(name))
@@ -70,6 +72,16 @@ def general_refits(search: Search, refits: Sequence[Refit]) -> list[Refit]:
             points = _spread(search, general, start, shared)
             jobs += [(search.library.of(wider.effects), point) for point in best_points(search, points, STARTS_EACH)]
     return search.best_of(jobs, ROUNDS, best) if jobs else []
+
+
+def that_add_something(search: Search, refits: Sequence[Refit], known: Sequence[Refit]) -> list[Refit]:
+    """The refits without those whose effects contain another known set of effects and explain no more that matters."""
+    return [r for r in refits if search.exhaustive or not any(_adds_nothing(r, fewer) for fewer in known)]
+
+
+def _adds_nothing(refit: Refit, fewer: Refit) -> bool:
+    contains = bool(fewer.effects) and set(fewer.effects) < set(refit.effects)
+    return contains and refit.cost > fewer.cost - SETTINGS.material
 
 
 def best_points(search: Search, points: Array, count: int, level: Level = "coarse") -> Array:

@@ -17,6 +17,7 @@ from eps_tunnel_analysis.diagnose.contained import (
     general_refits,
     leaves_something,
     nested_refits,
+    that_add_something,
     weakly,
     with_fewer_again,
     without,
@@ -150,7 +151,8 @@ def _grown(
         if more:
             better = lowest(more)
             replaced.add(frozenset(better.effects))
-            more += rival_refits(search, better, [*refits, *more])
+            if search.exhaustive or explains(on, better):  # else any in its place does as much
+                more += rival_refits(search, better, [*refits, *more])
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
         worth = _leads_on(search, base, on, best, refits)
@@ -199,8 +201,7 @@ def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
     """
     best = lowest([base, *refits])
     near = [r for r in best_by_set([base, *refits])[:SHORTLIST] if r.cost < NEAR_BEST * max(best.cost, 1.0)]
-    if not search.exhaustive:
-        near = [r for r in near if not any(_adds_nothing(r, fewer) for fewer in near)]
+    near = that_add_something(search, near, near)
     again = _gone_on(search, near, [r.values for r in near])
     near = best_by_set([*near, *again])
     if len(near) > 1:
@@ -208,12 +209,6 @@ def settled(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit
         moved = [search.library.with_base(r.values, other.values) for other, r in zip(others, near, strict=True)]
         again += _gone_on(search, near, moved)
     return base_and_sets([base, *refits, *again])
-
-
-def _adds_nothing(refit: Refit, fewer: Refit) -> bool:
-    """Whether a set contains another set of effects and explains no more that matters."""
-    contains = bool(fewer.effects) and set(fewer.effects) < set(refit.effects)
-    return contains and refit.cost > fewer.cost - SETTINGS.material
 
 
 def _gone_on(search: Search, refits: Sequence[Refit], points: Sequence[Array]) -> list[Refit]:
@@ -260,7 +255,7 @@ def started_again(search: Search, base: Refit, refits: Sequence[Refit], allowed:
     best = lowest([base, *refits])
     search.settle_at(best)
     near = [r for r in (base, *refits) if r.cost < NEAR_BEST * max(best.cost, 1.0)]
-    return base_and_sets([base, *refits, *_judged_again(search, near)])
+    return base_and_sets([base, *refits, *_judged_again(search, that_add_something(search, near, refits))])
 
 
 def next_refits(
