@@ -424,6 +424,27 @@ def test_a_set_that_adds_nothing_is_not_descended_to_rest(
     assert {(GAIN,), (FRICTION,)} <= set(asked) and ((GAIN, LOAD) in asked) is rests
 
 
+@pytest.mark.parametrize(("exhaustive", "starts_from"), [(False, [-0.1]), (True, [-0.1, -0.05])])
+def test_a_set_that_fits_worse_than_several_starts_again_from_the_best_of_them(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, exhaustive: bool, starts_from: list[float]
+) -> None:
+    given: list[Job] = []
+    monkeypatch.setattr(search, "exhaustive", exhaustive)
+    monkeypatch.setattr(
+        search, "refit", lambda jobs, _: [found(99.0) for _ in jobs]
+    )  # none is better without an effect
+    monkeypatch.setattr(search, "judged", lambda jobs, _: given.extend(jobs) or [])
+    column = 0  # of the drive, by which one sees where a start comes from
+    alone = []
+    for cost, name, share in ((5.0, GAIN, -0.05), (3.0, FRICTION, -0.1)):
+        values = search.start.copy()
+        values[column] += share * search.spans[column]
+        alone.append(replace(found(cost, name), values=values))
+    nested_refits(search, found(50.0), [*alone, found(9.0, FRICTION, GAIN)])
+    pairs = [point[column] for candidates, point in given if len(candidates) == 2]
+    assert [(p - search.start[column]) / search.spans[column] for p in pairs] == pytest.approx(starts_from)
+
+
 ADDING = pytest.mark.parametrize(
     ("alone", "exhaustive", "tried"), [(3.4, False, False), (3.4, True, True), (3.6, False, True)]
 )

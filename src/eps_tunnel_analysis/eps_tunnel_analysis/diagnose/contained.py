@@ -24,7 +24,7 @@ A_LITTLE = 0.05  # of a typical effect, with which it begins where its off value
 
 
 def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
-    """The base and the refits. A refit that fits worse than a set it contains starts again from that set; sets
+    """The base and the refits. A refit that fits worse than sets it contains starts again from the best of these; sets
     contained in the best ones, the base among them, start again from the values of these, and so do simple forms of
     their effects.
 
@@ -37,12 +37,11 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
     jobs = [job for job, r in zip(fewer, search.refit(fewer, ROUNDS), strict=True) if r.cost < reach]
     jobs += _with_simpler(search, refits)
     for refit in refits:
-        for smaller in (base, *refits):
-            if refit.cost <= MISFITTED * smaller.cost:
-                continue
-            start = contained(search, refit, smaller)
-            if start is not None:
-                jobs.append((search.library.of(refit.effects), start))
+        better = sorted((s for s in (base, *refits) if refit.cost > MISFITTED * s.cost), key=lambda s: s.cost)
+        starts_again = [start for s in better if (start := contained(search, refit, s)) is not None]
+        # From the best of them it cannot end above the others.
+        own = search.library.of(refit.effects)
+        jobs += [(own, start) for start in (starts_again if search.exhaustive else starts_again[:1])]
     bare, sets = base_and_sets([base, *refits, *search.judged(jobs, ROUNDS)])
 
     def misfits(refit: Refit) -> bool:
