@@ -45,6 +45,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_ends": "ends where nothing explains; forms end before the noise; 870818 before the rule for one trial",
     "diagnosis_needed": "form's share said once; 870866 on: ranked beside fewer effects, the best calls for more",
     "diagnosis_kinds": "as the end of the last row; 870895 on: where little is left, own values only",
+    "diagnosis_bearings": "the library's size moves no path; 870918 on: bearings by direction, a share for each set",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
