@@ -430,9 +430,7 @@ def test_a_set_that_fits_worse_than_several_starts_again_from_the_best_of_them(
 ) -> None:
     given: list[Job] = []
     monkeypatch.setattr(search, "exhaustive", exhaustive)
-    monkeypatch.setattr(
-        search, "refit", lambda jobs, _: [found(99.0) for _ in jobs]
-    )  # none is better without an effect
+    monkeypatch.setattr(search, "refit", lambda jobs, _: [found(99.0) for _ in jobs])  # none does without an effect
     monkeypatch.setattr(search, "judged", lambda jobs, _: given.extend(jobs) or [])
     column = 0  # of the drive, by which one sees where a start comes from
     alone = []

@@ -38,10 +38,10 @@ def nested_refits(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple
     jobs += _with_simpler(search, refits)
     for refit in refits:
         better = sorted((s for s in (base, *refits) if refit.cost > MISFITTED * s.cost), key=lambda s: s.cost)
-        starts_again = [start for s in better if (start := contained(search, refit, s)) is not None]
+        starts_again = (start for s in better if (start := contained(search, refit, s)) is not None)
         # From the best of them it cannot end above the others.
-        own = search.library.of(refit.effects)
-        jobs += [(own, start) for start in (starts_again if search.exhaustive else starts_again[:1])]
+        tried = itertools.islice(starts_again, None if search.exhaustive else 1)
+        jobs += [(search.library.of(refit.effects), start) for start in tried]
     bare, sets = base_and_sets([base, *refits, *search.judged(jobs, ROUNDS)])
 
     def misfits(refit: Refit) -> bool:

@@ -140,10 +140,10 @@ def _grown(
     Args:
         replaced: sets whose rivals were tried; it takes those of this function.
     """
-    best, refits, worth = lowest([base, *refits]), list(refits), True
+    refits = list(refits)
     for size in range(1, most):  # a tick may have been found beside an effect that is not the best by itself
         same = [r for r in refits if len(r.effects) == size]
-        if not (worth and same and lacking(base, best, refits)):
+        if not same:
             break
         on = lowest(same)
         beside = _beginnings(search, base, on, refits, allowed) if size == 1 else []
@@ -154,8 +154,9 @@ def _grown(
             if search.exhaustive or explains(on, better):  # else any in its place does as much
                 more += rival_refits(search, better, [*refits, *more])
         refits = best_by_set([*refits, *more])
-        best = lowest([best, *more])
-        worth = _leads_on(search, base, on, best, refits)
+        best = lowest([base, *refits])
+        if not (_leads_on(search, base, on, best, refits) and lacking(base, best, refits)):
+            break
     return refits
 
 
