@@ -9,6 +9,7 @@ import numpy as np
 from bag_files import START, STEP, Header, JointState, Time, write_bag
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
+from eps_tunnel_analysis.diagnose.refits import Refit
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model, load_model
@@ -62,9 +63,22 @@ def plays(
 
 def search_on_x(effects: Sequence[str] = ()) -> Search:
     """Of effects on one axis, for plays that the model itself made."""
-    model, recorded = start().with_values(TRUTH), plays((3.0, -2.0), TRUTH)
+    return part_search(start().with_values(TRUTH), plays((3.0, -2.0), TRUTH), effects)
+
+
+def part_search(model: Model, recorded: Sequence[Play], effects: Sequence[str] = ()) -> Search:
+    """Of effects on axis x of a model, for these plays."""
     part = next(p for p in axis_parts(model, recorded) if p.name == "x")
     return axis_search(model, recorded, part, SearchOptions(tuple(effects), 1))
+
+
+def refit(search: Search, effects: tuple[str, ...], cost: float, **values: float) -> Refit:
+    """A refit that leaves this everywhere, at what is stated but for these values, by the ends of their names."""
+    at = search.start.copy()
+    for name, value in values.items():
+        column = next(i for i, full in enumerate(search.library.names) if full.endswith(f".{name}"))
+        at[column] = value
+    return Refit(effects, at, np.full(len(search.used), np.sqrt(cost)), cost, 3 + len(effects), True)
 
 
 def bag_of(folder: Path, trials: Trials) -> Path:

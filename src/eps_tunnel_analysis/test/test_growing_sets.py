@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fit_cases import made_by, search_on_x, step
+from fit_cases import made_by, part_search, search_on_x, step
 
 from eps_tunnel_analysis.diagnose import sets as sets_module
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import sensed_joints
 from eps_tunnel_analysis.diagnose.candidates import starts
 from eps_tunnel_analysis.diagnose.contained import general_refits, nested_refits
@@ -290,8 +289,7 @@ def test_a_play_begins_anew_where_the_best_set_puts_it_if_that_leaves_more_than_
     model = load_model("labyrinth_manual").with_effect("coulomb_friction", "x", {"torque": 0.4})
     commands = np.vstack([np.zeros((100, 2)), step(3.0, samples=61)])
     recorded = [Play("late", made_by(model, commands))]
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    search = axis_search(model, recorded, part, SearchOptions(("gain_error", "load_friction"), 1))
+    search = part_search(model, recorded, ("gain_error", "load_friction"))
     exact = search.levels["exact"]
     off = {name: 2.0 * exact.start_noise(0, joint[0]) for joint in sensed_joints(search) for name in joint}
     search.levels = {level: evidence.started([off]) for level, evidence in search.levels.items()}

@@ -7,15 +7,13 @@ from typing import cast
 
 import numpy as np
 import pytest
-from fit_cases import FREE, made_by, plays, start, step
+from fit_cases import FREE, made_by, part_search, plays, refit, start
 from fit_cases import TRUTH as SLOW
 
 from eps_tunnel_analysis.diagnose import base_values as base_values_module
-from eps_tunnel_analysis.diagnose import evidence as evidence_module
 from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
 from eps_tunnel_analysis.diagnose.axes import with_refits
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
-from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.base_values import along_valley, base_from, better_base
 from eps_tunnel_analysis.diagnose.contained import nested_refits
 from eps_tunnel_analysis.diagnose.evidence import Evidence, Residuals, play_evidence
@@ -23,14 +21,11 @@ from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
-from eps_tunnel_analysis.diagnose.search import STEPS_LONGER, Search
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.sets import begun, next_refits, refined, rival_refits, stated_jobs, tick_refits
-from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.diagnose.stated import strain_of
 from eps_tunnel_analysis.diagnose.ticks import command_response
 from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
-from labyrinth_sim.model import Model
 from labyrinth_sim.trials import Trials
 
 TRUTH = {**SLOW, "drive.x.delay": 0.03}  # whole samples, so that it is the same on any finer grid
@@ -127,81 +122,12 @@ def test_stretches_of_time_are_the_same_for_all_signals_of_a_play(recorded: list
     assert not set(folds[evidence.blocks < 2]) & set(folds[evidence.blocks >= 2])
 
 
-# ---- the pose at the start, the drive's own ticks, and what is stated
-
-
-def part_search(model: Model, recorded: list[Play]) -> Search:
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    return axis_search(model, recorded, part, SearchOptions((), 1))
-
-
-def test_a_pose_that_was_read_wrongly_at_the_start_is_put_right_as_far_as_the_sensors_allow() -> None:
-    # Stiction holds the axis wherever it starts.
-    stuck = start().with_values(TRUTH).with_effect("coulomb_friction", "x", {"torque": 1.0}, "test")
-    search = part_search(stuck, [Play("stuck", made_by(stuck, step(0.1, samples=500)))])
-    exact = search.levels["exact"]
-    noise = exact.start_noise(0, "motor_x")
-    begun = exact.initial[0]["motor_x"][0]
-    search.levels = {level: e.started([{"motor_x": 1.5 * noise, "board_x": 1.5 * noise}]) for level, e in
-                     search.levels.items()}  # fmt: skip
-    search.settle_start(refit(search, (), 1.0), [["motor_x"], ["board_x"]])
-    settled = [e.initial[0]["motor_x"][0] for e in search.levels.values()]
-    assert abs(settled[0]) < 0.5 * noise < abs(begun + 1.5 * noise)
-    assert settled == [settled[0]] * len(settled)
-    far = [{"motor_x": 50.0 * noise, "board_x": 50.0 * noise}]
-    search.levels = {level: e.started(far) for level, e in search.levels.items()}
-    search.settle_start(refit(search, (), 1.0), [["motor_x"], ["board_x"]])
-    assert search.levels["exact"].initial[0]["motor_x"][0] > 40.0 * noise  # that is no noise of a sensor
-
-
-def test_the_ticks_of_a_drive_count_by_what_they_do_to_the_motion(recorded: list[Play]) -> None:
-    fine = part_search(start().with_values(TRUTH), recorded)
-    tick = 0.004
-    coarse = part_search(start().with_values({**TRUTH, "drive.x.feedback_tick": tick}), recorded)
-    more = np.sqrt(coarse.scale**2 - fine.scale**2)
-    assert (more > 0.0).all()
-    assert more.max() < tick  # for the motor filters them
-    coarse.see_ticks(coarse.start)
-    assert np.sqrt(coarse.scale**2 - fine.scale**2) == pytest.approx(more, rel=1e-9)  # and they count once
-
-
-@pytest.mark.parametrize(("apart", "agrees"), [(0.0, True), (0.5, False)])
-def test_ticks_count_less_the_more_the_rig_s_do_the_same_as_the_model_s(
-    recorded: list[Play], apart: float, agrees: bool
-) -> None:
-    """The rig's own ticks lie where the model's do, or half of one beside them."""
-    tick = 0.004
-    coarse = start().with_values({**TRUTH, "drive.x.feedback_tick": tick})
-    made = made_by(coarse, np.asarray(recorded[0].trials.commands[0]) + apart * tick)
-    beside = apart * tick * np.array([unit == "rad" for unit in made.units])
-    back = replace(made, commands=made.commands - apart * tick, values=made.values - beside)
-    search = part_search(coarse, [Play("ticks", back)])
-    here = search.at(search.start, refit(search, (), 1.0))
-    found = search.ticks_agree(here)
-    motor = search.evidence.signals.index("motor_x")
-    assert (found[motor] > 0.5) == agrees
-    before = search.scale[search.signal == motor].copy()
-    search.see_ticks(search.start, found)
-    assert bool((search.scale[search.signal == motor] < 0.8 * before).all()) == agrees
-
-
-def test_a_value_that_is_stated_is_left_only_for_a_reason(recorded: list[Play]) -> None:
-    model = start().with_values(TRUTH).with_effect("viscous_friction", "x", {"damping": 0.05}, "data sheet")
-    search = part_search(model, recorded)
-    column = search.library.base.index("viscous_friction.x.damping")
-    moved = search.start.copy()
-    moved[column] *= 1.0 + SETTINGS.loose
-    one_off = float(strain_of(np.ones(1))[0])
-    assert search.strain(search.start) == 0.0
-    assert search.strain(moved) == pytest.approx(one_off)
-    moved[search.library.base.index("drive.x.p")] *= 2.0  # a gain is anybody's guess
-    assert search.strain(moved) == pytest.approx(one_off)
+# ---- what is stated
 
 
 def test_a_base_that_lies_at_its_bound_leaves_the_rest_to_an_effect(recorded: list[Play]) -> None:
     model = start().with_values({**TRUTH, "drive.x.delay": 0.02})  # of 0.03
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    search = axis_search(model, recorded, part, SearchOptions(("command_delay", "sensor_bias"), 1))
+    search = part_search(model, recorded, ("command_delay", "sensor_bias"))
     delay = np.array(search.library.names) == "drive.x.delay"
     search.high = np.where(delay, 0.02, search.high)
     search.firmness = np.where(delay, 0.0, 1.0)
@@ -216,8 +142,7 @@ def test_a_base_that_lies_at_its_bound_leaves_the_rest_to_an_effect(recorded: li
 
 def test_effects_are_tried_beside_values_as_stated_where_the_base_strays_from_them(recorded: list[Play]) -> None:
     model = start().with_values(TRUTH).with_effect("viscous_friction", "x", {"damping": 0.05}, "data sheet")
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    search = axis_search(model, recorded, part, SearchOptions(("command_delay", "sensor_bias"), 1))
+    search = part_search(model, recorded, ("command_delay", "sensor_bias"))
     column = search.library.base.index("viscous_friction.x.damping")
     assert stated_jobs(search, refit(search, (), 1.0)) == []
     strayed = search.start.copy()
@@ -247,17 +172,7 @@ def test_a_direction_that_moves_only_some_values_leads_along_the_valley(
 
 @pytest.fixture
 def search(recorded: list[Play]) -> Search:
-    model = start().with_values(TRUTH)
-    part = next(p for p in axis_parts(model, recorded) if p.name == "x")
-    return axis_search(model, recorded, part, SearchOptions(FRICTIONS, 1))
-
-
-def refit(search: Search, effects: tuple[str, ...], cost: float, **values: float) -> Refit:
-    at = search.start.copy()
-    for name, value in values.items():
-        column = next(i for i, full in enumerate(search.library.names) if full.endswith(f".{name}"))
-        at[column] = value
-    return Refit(effects, at, np.full(len(search.used), np.sqrt(cost)), cost, 3 + len(effects), True)
+    return part_search(start().with_values(TRUTH), recorded, FRICTIONS)
 
 
 @pytest.mark.parametrize(
@@ -464,41 +379,8 @@ def test_where_the_best_needs_shorter_steps_what_is_near_it_is_judged_anew(
         assert np.allclose(new.residuals, there, atol=1e-9)
 
 
-@pytest.mark.parametrize(("share", "shorter"), [(1.0, False), (0.003, True)])
-def test_steps_are_halved_until_the_answer_stands(recorded: list[Play], share: float, shorter: bool) -> None:
-    search = part_search(start().with_values(TRUTH), recorded)
-    search.scale = share * search.scale  # a smaller floor sees more of what steps get wrong
-    there = search.levels["exact"](search.start[None])
-    search.levels = {level: e.less(there[0]) for level, e in search.levels.items()}  # nothing else is left
-    steps = search.levels["fine"].shortest
-    assert search.refine_at(search.start) is shorter
-    fine, exact = search.levels["fine"].shortest, search.levels["exact"].shortest
-    assert (exact < steps) is (exact < fine) is shorter  # descents stay faster
-    assert fine <= STEPS_LONGER * exact
-
-
-@pytest.mark.parametrize("alike", [True, False])
-def test_steps_are_halved_where_what_they_get_wrong_adds_to_what_is_left(recorded: list[Play], alike: bool) -> None:
-    """A tenth of the floor changes the floors that are left by a quarter of one, if it looks like what is left."""
-    search = part_search(start().with_values(TRUTH), recorded)
-    exact = search.levels["exact"]
-    there = exact(search.start[None])[0]
-    wrong = exact.finer()(search.start[None])[0] - there
-    search.scale = search.scale * float(np.sqrt(np.mean((wrong[search.used] / search.scale) ** 2))) / 0.1
-    signs = 1.0 if alike else np.where(np.random.default_rng(1).random(len(wrong)) < 0.5, -1.0, 1.0)
-    left = -15.0 * signs * wrong  # two floors and a quarter
-    search.levels = {level: e.less(there - left) for level, e in search.levels.items()}
-    assert search.refine_at(search.start) is alike
-
-
-@pytest.mark.parametrize(("width", "steps"), [(0.01, 2), (0.0100006, 2), (0.0104, 2), (0.0107, 3), (0.004, 1)])
-def test_jitter_of_the_stamps_does_not_shorten_the_steps(width: float, steps: int) -> None:
-    assert evidence_module._even(width, 0.005) == pytest.approx(width / steps)
-
-
 def test_an_effect_of_several_values_is_fitted_from_several_of_its_own(recorded: list[Play]) -> None:
-    part = next(p for p in axis_parts(start(), recorded) if p.name == "x")
-    search = axis_search(start(), recorded, part, SearchOptions(("gravity_load", "stribeck_friction"), 1))
+    search = part_search(start(), recorded, ("gravity_load", "stribeck_friction"))
     fitted: list[Job] = []
     search.best_of = lambda jobs, rounds: fitted.extend(jobs) or []  # type: ignore[assignment]
     base = search.refit([((), search.start)], 0)[0]
@@ -513,8 +395,7 @@ def test_the_linear_response_to_a_rounded_command_is_nearly_what_a_roll_out_show
     targets = np.repeat(np.append(0.0, levels[1:]), 15)
     model = start().with_values(TRUTH)
     trials = [Play("levels", made_by(model, np.column_stack([targets, 0.0 * targets])))]
-    part = next(p for p in axis_parts(model, trials) if p.name == "x")
-    search = axis_search(model, trials, part, SearchOptions(("command_quantisation",), 1))
+    search = part_search(model, trials, ("command_quantisation",))
     base = search.refit([((), search.start)], 0)[0]
     axis = model.rig.axes[0]
     rows = np.flatnonzero(np.isin(search.signal, [search.evidence.signals.index(n) for n in axis.positions]))
@@ -534,8 +415,7 @@ def test_a_tick_of_which_a_command_spans_many_is_found_where_other_starts_miss_i
     tick, model = np.abs(targets).max() / 97.3, start().with_values(TRUTH)
     truth = model.with_effect("command_quantisation", "x", {"tick": tick})
     trials = [Play("levels", made_by(truth, np.column_stack([targets, 0.0 * targets])))]
-    part = next(p for p in axis_parts(model, trials) if p.name == "x")
-    search = axis_search(model, trials, part, SearchOptions(("command_quantisation",), 1))
+    search = part_search(model, trials, ("command_quantisation",))
     column = search.library.names.index("command_quantisation.x.tick")
     at = search.start.copy()
     at[column] = tick
@@ -550,8 +430,7 @@ def test_a_tick_of_which_a_command_spans_many_is_found_where_other_starts_miss_i
 
 
 def test_a_set_starts_within_its_bounds_though_what_it_contains_goes_further(recorded: list[Play]) -> None:
-    part = next(p for p in axis_parts(start(), recorded) if p.name == "x")
-    search = axis_search(start(), recorded, part, SearchOptions(("coulomb_friction", "stribeck_friction"), 1))
+    search = part_search(start(), recorded, ("coulomb_friction", "stribeck_friction"))
     fitted: list[np.ndarray] = []
     search.judged = lambda jobs, rounds: fitted.extend(values for _, values in jobs) or []  # type: ignore[assignment]
     speed = search.library.names.index("stribeck_friction.x.speed")
@@ -589,8 +468,7 @@ def test_a_tick_is_found_beside_an_effect_whose_own_fit_hides_it() -> None:
     truth = model.with_effect("command_quantisation", "x", {"tick": tick})
     truth = truth.with_effect("dead_band", "x", {"half_width": 0.5 * tick, "jump": 0.0})
     trials = [Play("levels", made_by(truth, np.column_stack([targets, 0.0 * targets])))]
-    part = next(p for p in axis_parts(model, trials) if p.name == "x")
-    search = axis_search(model, trials, part, SearchOptions(("command_quantisation", "dead_band"), 1))
+    search = part_search(model, trials, ("command_quantisation", "dead_band"))
     base = search.refit([((), search.start)], 6)[0]
     single = next_refits(search, [base])
     (found,) = tick_refits(search, begun(search, base, single), 1.1)

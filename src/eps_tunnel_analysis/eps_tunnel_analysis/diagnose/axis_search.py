@@ -17,7 +17,8 @@ from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_tick, library
 from eps_tunnel_analysis.diagnose.evidence import Evidence, PlayEvidence, play_evidence
 from eps_tunnel_analysis.diagnose.noise import largest_tick
-from eps_tunnel_analysis.diagnose.search import DIFFERENCE, Level, Search
+from eps_tunnel_analysis.diagnose.roll_outs import DIFFERENCE, Level
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import by_axis, default_free, full_name
 from eps_tunnel_analysis.recorded_play import Play

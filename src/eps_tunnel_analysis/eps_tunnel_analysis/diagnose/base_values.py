@@ -12,7 +12,8 @@ from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, ax
 from eps_tunnel_analysis.diagnose.prescribed import Motions, coupled_with, measured_motions, with_prescribed_motion
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Refit
-from eps_tunnel_analysis.diagnose.search import HOPELESS, STANDS, Search
+from eps_tunnel_analysis.diagnose.roll_outs import STANDS
+from eps_tunnel_analysis.diagnose.search import HOPELESS, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.recorded_play import Play
 from labyrinth_sim.model import Model
@@ -142,7 +143,7 @@ def base_starts(search: Search, values: Array, keep: int) -> list[Array]:
     near = len(drawn) // 2
     points[1 : near + 1, :size] = search.start[:size] + (drawn[:near] - 0.5) * NEAR_OWN * span
     points[near + 1 :, :size] = search.low[:size] + drawn[near:] * span
-    points = np.clip(points, search.low, search.high)
+    points = search.within(points)
     cost = np.mean(search.residuals(points) ** 2, axis=1)
     cost[0] = -1.0  # the given values are tried in any case
     chosen: list[Array] = []
@@ -341,7 +342,7 @@ def along_valley(search: Search, refit: Refit) -> list[Array]:
         room = float(np.min(ahead / np.abs(way[way != 0.0])))
         tried = np.tile(refit.values, (VALLEY_POINTS, 1))
         tried[:, columns] += np.linspace(0.0, room, VALLEY_POINTS + 1)[1:, None] * way * span
-        tried = np.clip(tried, search.low, search.high)
+        tried = search.within(tried)
         cost = np.mean(search.residuals(tried) ** 2, axis=1)
         points.append(tried[int(np.argmin(np.nan_to_num(cost, nan=np.inf)))])
     return points

@@ -10,7 +10,8 @@ import numpy as np
 from eps_tunnel_analysis.diagnose.candidates import Candidate, starts
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, base_and_sets, lowest
-from eps_tunnel_analysis.diagnose.search import OUT_OF_REACH, Level, Search
+from eps_tunnel_analysis.diagnose.roll_outs import Level
+from eps_tunnel_analysis.diagnose.search import OUT_OF_REACH, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.problem import AT_BOUND
 from labyrinth_sim.trials import Array
@@ -112,7 +113,7 @@ def _spread(search: Search, general: Candidate, start: Array, kept: Collection[s
     rows = list(itertools.product(*each))
     points = np.tile(start, (len(rows), 1))
     points[:, columns] = rows
-    return np.clip(points, search.low, search.high)
+    return search.within(points)
 
 
 def with_fewer_again(search: Search, base: Refit, refits: Sequence[Refit]) -> tuple[Refit, list[Refit]]:
@@ -151,7 +152,7 @@ def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
         for name in refit.effects:
             kept, values = without(search, refit, name)
             if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
-                jobs.append((kept, np.clip(values, search.low, search.high)))
+                jobs.append((kept, search.within(values)))
     return jobs
 
 
@@ -182,7 +183,7 @@ def _with_simpler(search: Search, refits: Sequence[Refit]) -> list[Job]:
             for its in set(shared.values()):
                 own = [search.columns(general)[_place(general, o)] for o, i in shared.items() if i == its]
                 values[search.columns(simple)[_place(simple, its)]] = np.mean(refit.values[own])
-            jobs.append((kept, np.clip(values, search.low, search.high)))
+            jobs.append((kept, search.within(values)))
     return jobs
 
 
@@ -214,7 +215,7 @@ def contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
         added.remove(general.name)
     if set(smaller.effects) == set(larger.effects):
         return None
-    return np.clip(weakly(search, values, added), search.low, search.high)
+    return search.within(weakly(search, values, added))
 
 
 def weakly(search: Search, values: Array, effects: Sequence[str]) -> Array:

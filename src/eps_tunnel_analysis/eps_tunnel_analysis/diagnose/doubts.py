@@ -16,10 +16,10 @@ from eps_tunnel_analysis.diagnose.ball import sees_ball
 from eps_tunnel_analysis.diagnose.base_values import base_from
 from eps_tunnel_analysis.diagnose.contained import contained
 from eps_tunnel_analysis.diagnose.rank import name_of
-from eps_tunnel_analysis.diagnose.search import directions
 from eps_tunnel_analysis.diagnose.sets import explains
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.verdict import in_words
+from eps_tunnel_analysis.fit.differences import directions
 from eps_tunnel_analysis.fit.problem import by_axis
 from eps_tunnel_analysis.outputs import shown_number, shown_times
 from eps_tunnel_analysis.recorded_play import Play
@@ -97,7 +97,7 @@ def _promising(
     """
     search = axis_search(model, plays, _with(part, held), replace(run, only=(), progress=None))
     size = len(part.base)
-    values = np.clip(search.start, search.low, search.high)  # a mass of 0 is stated as the smallest
+    values = search.within(search.start)  # a mass of 0 is stated as the smallest
     values[:size] = axis.base.values[:size]
     here = search.at(values, replace(axis.base, steps=None))
     steps = np.diagonal(search.moved(here) - values)

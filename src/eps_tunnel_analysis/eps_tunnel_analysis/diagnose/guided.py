@@ -141,5 +141,5 @@ def _loosened(search: Search, held: Evidence, refit: Refit, candidate: Candidate
         away = np.where(np.arange(len(points)) % (1 + AROUND), width, 0.0)[:, None]
         free = search.free_columns(candidate)
         points[:, free] *= np.exp(away * rng.normal(size=(len(points), len(free))))
-        points = np.clip(points, search.low, search.high)
+        points = search.within(points)
     return [(fitted, point) for point in best_points(search, points, CARRIED_ON, "exact")]

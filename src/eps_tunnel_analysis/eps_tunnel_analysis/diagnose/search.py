@@ -9,24 +9,20 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_rough, loosely_known, starts
+from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_rough, starts
 from eps_tunnel_analysis.diagnose.evidence import Evidence
-from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit, TrialPoint, best_by_set, with_best_share, with_residuals
+from eps_tunnel_analysis.diagnose.roll_outs import DIFFERENCE, STANDS, Level, RollOuts
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.diagnose.stated import residual_of, strain_of, weight_of
-from eps_tunnel_analysis.fit.differences import directions, jacobian, steps_within
+from eps_tunnel_analysis.diagnose.stated import residual_of
+from eps_tunnel_analysis.fit.differences import directions
 from eps_tunnel_analysis.fit.lockstep import Race, descend
-from eps_tunnel_analysis.fit.problem import AT_BOUND
-from labyrinth_sim.friction import SLOW
 from labyrinth_sim.trials import Array
 
-DIFFERENCE = 1e-3  # finite differences to begin with, normalised
 RESPONSE = 0.5  # noise floors by which they then change the residuals: visible over the roughness of stiction and ticks
 TOLERANCE = 2e-3  # relative gain of a round below which a descent rests, if nothing else is asked
 AT_ONCE = 256  # roll-outs of one batch of trial points
@@ -43,26 +39,14 @@ VALLEY_ROUNDS = 10  # of descents from further away
 AWAY = (0.4, 0.8)  # spans from a refit at which other valleys are looked for, along the direction it determines least
 PASSES = (0.6, 0.4)  # of these rounds, after each of which the exact step corrects
 HOPELESS = 3.0  # times the best cost
-FINEST = 4e-4  # s, of MuJoCo's steps, for each axis of a part: several have as many more values to fit
-STEPS_LONGER = 4.0  # times, by which steps of descents may be longer than those that judge
-STANDS = 0.1  # floors by which half the step may change an answer that is accurate enough
 #: times its cost and the noise floor: a refit that longer steps get wrong by more goes on at shorter ones
 ROUGH = 0.2
 
-Level = Literal["coarse", "fine", "exact", "own"]
 
-
-class Search:
-    """Roll-outs of a library of candidates, in units of the noise floor.
+class Search(RollOuts):
+    """Descents of candidates on top of the base values; see `RollOuts` for the arguments.
 
     Args:
-        levels: over the library's model and all of its names. The coarse one searches and gives slopes; the fine
-            one judges refits; the exact one also has the drives' ticks, and is the fine one if there are none. The own
-            level, if there is one, has the model's own steps.
-        scale: (n,) the noise floor at each of the evidence's samples.
-        used: (R,) which of the evidence's samples are compared.
-        progress: called with the number of roll-outs so far.
-        difference: step of the finite differences, in shares of each value's span.
         exhaustive: nothing is given up before its descent has ended.
     """
 
@@ -76,187 +60,9 @@ class Search:
         difference: float = DIFFERENCE,
         exhaustive: bool = False,
     ) -> None:
-        self.library, self.levels, self.used = library, dict(levels), used
-        self.evidence = levels["coarse"]
-        infos = library.model.parameters()
-        self.low = np.array([infos[name].low for name in library.names])
-        self.high = np.minimum([infos[name].high for name in library.names], library.highest)
-        self.start = np.clip([infos[name].value for name in library.names], self.low, self.high)
-        self.blocks = self.evidence.blocks[used]
-        self.signal = self.blocks % len(self.evidence.signals)
-        self.scale = self._noise = scale[used]
-        self.evaluations = 0
-        self.progress, self.exhaustive = progress, exhaustive
-        self.shift = np.zeros(len(used))  # (R,) added to coarse residuals: the step's error near where the search is
-        self._column = {name: i for i, name in enumerate(library.names)}
-        #: (K,) large changes of the values, of which the search moves them by shares
-        self.spans = np.array([infos[name].span for name in library.names])
-        #: (K,) how firmly each value is expected to be as stated, per share of its span; 0 for what is free.
-        self.firmness = np.zeros(len(self.start))
-        for column, name in enumerate(library.base[: len(library.base) - library.rough]):
-            if loosely_known(library.model, name):
-                share = SETTINGS.loose * abs(self.start[column]) / self.spans[column]
-                self.firmness[column] = np.sqrt(SETTINGS.correlated) / share
-        base = np.arange(len(library.base) - library.rough, len(library.base))
-        span = self.spans[base]
-        self._spread = SETTINGS.rough * np.where(self.start[base] != 0.0, np.abs(self.start[base]), span)
-        # Beyond that it would stand in for an effect; `doubts` reports values that are further off.
-        self.low[base] = np.maximum(self.low[base], self.start[base] - SETTINGS.farthest * self._spread)
-        self.high[base] = np.minimum(self.high[base], self.start[base] + SETTINGS.farthest * self._spread)
-        span = self.spans[base] = (self.high - self.low)[base]
-        self.firmness[base] = np.sqrt(SETTINGS.correlated) * span / self._spread
-        self.difference = np.full(len(self.start), difference)
-        self.difference[base] = np.minimum(difference, 0.1 * self._spread / span)
-        driven = {name.split(".")[1] for name in library.base if name.startswith("drive.")}
-        self._finest = FINEST * max(1, len(driven))
+        super().__init__(library, levels, scale, used, progress, difference)
+        self.exhaustive = exhaustive
         self._valleys: dict[tuple[tuple[str, ...], bytes], tuple[Refit, ...]] = {}
-        self.idle = np.zeros(len(self.start), dtype=bool)  # base values that do not affect the recordings
-        #: (K,) how gradually the model's own dry friction sets in, as long as that stays as stated
-        self.sharp = np.zeros(len(self.start), dtype=bool)
-        self.sharp[base] = [library.base[column].endswith(f".{SLOW.name}") for column in base]
-
-    def residuals(self, values: Array, level: Level = "coarse") -> Array:
-        """(n, K) values to (n, R) residuals in units of the noise floor."""
-        self.evaluations += len(values)
-        seen = self.levels[level](values)[:, self.used] / self.scale
-        if self.progress:
-            self.progress(self.evaluations)
-        return seen + self.shift if level == "coarse" else seen
-
-    def strain(self, values: Array) -> float:
-        """How unlikely values (K,) are beside what is stated: minus twice the logarithm of their likelihood."""
-        return float(np.sum(strain_of(self._off(values))))
-
-    def firmness_at(self, values: Array) -> Array:
-        """(K,) how firmly values (K,) are held where they are; less firmly far from what is stated."""
-        return np.asarray(self.firmness * np.sqrt(weight_of(self._off(values))))
-
-    def _off(self, values: Array) -> Array:
-        """How far values (..., K) are from what is stated, in units of what is expected of each."""
-        return np.asarray(self.firmness * (values - self.start) / self.spans / np.sqrt(SETTINGS.correlated))
-
-    def held_at(self, values: Array) -> float:
-        """What being far from what is stated adds to the cost of values (K,)."""
-        return self.strain(values) * SETTINGS.correlated / len(self.used)
-
-    def see_ticks(self, values: Array, agreement: Array | None = None) -> None:
-        """Adds to the noise what the drives' own ticks do to the motion at these values (K,).
-
-        Within one a drive stops anywhere. As long as the phases of the model's ticks and of the rig's are unknown, each
-        of the two moves the motion by that much.
-
-        Args:
-            agreement: for each signal the share of what the model's ticks do to it that the rig's do as well.
-        """
-        moved = self._by_ticks(values)
-        if moved is None:
-            return
-        each = np.bincount(self.blocks, moved**2) / np.maximum(np.bincount(self.blocks), 1)
-        differ = 1.0 - (np.zeros(len(self.evidence.signals)) if agreement is None else agreement)
-        scale = np.sqrt(self._noise**2 + 2.0 * differ[self.signal] * each[self.blocks])
-        self.shift *= self.scale / scale
-        self.scale = scale
-
-    @property
-    def folds(self) -> NDArray[np.int64]:
-        """(R,) the stretch of time to which each residual belongs."""
-        return self.levels["exact"].fold(SETTINGS.block)[self.used]
-
-    def ticks_agree(self, refit: Refit) -> Array:
-        """For each signal the share of what the model's ticks do to it at a refit that the rig's do as well.
-
-        A lower bound, from stretches of time that are taken as independent, and never all of it, because noise shakes a
-        rig's ticks.
-        """
-        shares, folds = np.zeros(len(self.evidence.signals)), self.folds
-        moved = self._by_ticks(refit.values)
-        if moved is None:
-            return shares
-        moved = moved / self.scale
-        smooth = self.residuals(refit.values[None], "exact")[0] - moved
-        for number in np.unique(self.signal):
-            here = self.signal == number
-            along, size = np.bincount(folds[here], -(smooth * moved)[here]), np.bincount(folds[here], moved[here] ** 2)
-            if size.sum() > 0.0:
-                share = along.sum() / size.sum()
-                deviation = float(np.sqrt(np.sum((along - share * size) ** 2))) / size.sum()
-                shares[number] = np.clip(share - SETTINGS.ticks_surely * deviation, 0.0, SETTINGS.ticks_agree)
-        return shares
-
-    def _by_ticks(self, values: Array) -> Array | None:
-        """(R,) by which the drives' ticks move the signals at these values (K,), in their units; None without ticks."""
-        exact, smooth = self.levels["exact"], self.levels["fine"].model
-        if smooth.values() == exact.model.values():
-            return None
-        self.evaluations += 2
-        both = np.vstack([exact(values[None]), exact.of(smooth)(values[None])])[:, self.used]
-        return np.asarray(np.nan_to_num(both[0] - both[1]))
-
-    def settle_start(self, refit: Refit, joints: Sequence[Sequence[str]]) -> None:
-        """Moves the pose in which each play starts to where a refit puts it, as far as its sensors allow.
-
-        A first sample is as coarse as any other, and a joint held by stiction keeps that error for long.
-
-        Args:
-            joints: for each joint the signals that measure its position, finest first.
-        """
-        exact = self.levels["exact"]
-        plays = range(len(exact.plays))
-        noise = np.array([[exact.start_noise(play, names[0]) for names in joints] for play in plays])
-        here = self.residuals(refit.values[None], "exact")[0]
-        slopes = []
-        for names, column in zip(joints, noise.T, strict=True):
-            moved = exact.started([dict.fromkeys(names, float(by)) for by in column])
-            slopes.append(np.nan_to_num(moved(refit.values[None])[0, self.used] / self.scale - here))
-            self.evaluations += 1
-        own = self.blocks // len(exact.signals)
-        less = SETTINGS.correlated * max(refit.cost, 1.0)  # samples are worth less, the more where something is missing
-        shifts = []
-        for play in plays:
-            at = own == play
-            change = np.column_stack([slope[at] for slope in slopes])
-            normal = change.T @ change / less + np.eye(len(joints))
-            by = np.linalg.solve(normal, -change.T @ here[at] / less)
-            by = np.clip(by, -SETTINGS.farthest, SETTINGS.farthest) * noise[play]
-            shifts.append({name: float(b) for names, b in zip(joints, by, strict=True) for name in names})
-        self.levels = {level: evidence.started(shifts) for level, evidence in self.levels.items()}
-        self.evidence = self.levels["coarse"]
-
-    def settle_at(self, refit: Refit) -> None:
-        """Corrects coarse roll-outs by the exact ones at a refit."""
-        self.shift = self.shift + refit.residuals - self.residuals(refit.values[None])[0]
-
-    def feel(self, refit: Refit) -> None:
-        """Excludes from all later refits the roughly known values whose expected deviation does not show in the
-        residuals.
-        """
-        base = np.arange(len(self.library.base) - self.library.rough, len(self.library.base))
-        points = np.tile(refit.values, (2 * len(base), 1))
-        for row, (column, spread) in enumerate(zip(base, self._spread, strict=True)):
-            points[2 * row : 2 * row + 2, column] += (spread, -spread)
-        moved = self.residuals(np.clip(points, self.low, self.high)) - self.residuals(refit.values[None])
-        shows = np.nan_to_num(np.mean(moved**2, axis=1), nan=np.inf).reshape(-1, 2).max(axis=1)
-        self.idle[base] = shows < SETTINGS.unfelt
-
-    def refine_at(self, values: Array) -> bool:
-        """Halves the steps of the level that judges until the answer at these values (K,) is accurate; whether any was.
-
-        Descents begin with steps up to STEPS_LONGER times as long, corrected by that level.
-        """
-        shorter, here = False, self.residuals(values[None], "exact")[0]
-        while self.levels["exact"].shortest > self._finest:
-            finer = self.levels["exact"].finer()
-            there = finer(values[None])[0, self.used] / self.scale
-            self.evaluations += 1
-            remaining, changed = worst_floors(here, self.signal), float(np.mean((there - here) ** 2))
-            if finer.extrapolate:  # contacts and ticks change what is left by chance
-                changed = max(changed, abs(worst_floors(there, self.signal) - remaining))
-            if changed <= max(STANDS, SETTINGS.form * remaining):
-                break
-            self.levels["exact"], here, shorter = finer, there, True
-        while self.levels["fine"].shortest > STEPS_LONGER * self.levels["exact"].shortest:
-            self.levels["fine"] = self.levels["fine"].finer()
-        return shorter
 
     def over(self, library: Library) -> "Search":
         """A search over other candidates on top of the same base values, with the same samples, floor and steps."""
@@ -278,7 +84,7 @@ class Search:
     def as_stated(self) -> "Search":
         """The same, with the base values fixed for which the model states an expectation."""
         other = copy(self)
-        other.idle = self.idle | (self.firmness > 0.0)
+        other.idle = self.idle | (self.stated)
         return other
 
     def beside_stated(self, refits: Sequence[Refit], rounds: int, level: Level = "coarse") -> list[Array]:
@@ -294,20 +100,6 @@ class Search:
         from_stated = firm.refit(jobs, rounds, level)
         self.evaluations = firm.evaluations
         return [r.values for r in from_stated]
-
-    def columns(self, candidate: Candidate) -> list[int]:
-        """Columns of a candidate's values among the library's."""
-        return [self._column[name] for name in candidate.parameters]
-
-    def free_columns(self, candidate: Candidate) -> list[int]:
-        """The same without those that are one of a few choices."""
-        return [self._column[name] for name in candidate.free]
-
-    def fitted(self, refit: Refit) -> list[int]:
-        """Columns of the values that a refit fits among the library's, the base's first."""
-        own = [column for c in self.library.of(refit.effects) for column in self.free_columns(c)]
-        kept = self.idle | self.sharp
-        return [column for column in (*range(len(self.library.base)), *own) if not kept[column]]
 
     def refit(
         self, jobs: Sequence[Job], rounds: int, level: Level = "coarse", shifts: Array | None = None,
@@ -335,11 +127,11 @@ class Search:
         width = (self.high - self.low) / self.spans
 
         def scaled(z: Array, owners: NDArray[np.int64], level: Level = level) -> Array:
-            values = np.clip(self.low + z * self.spans, self.low, self.high)
-            expected = np.sqrt(SETTINGS.correlated) * residual_of(self._off(values)[:, stated])
+            values = self.within(self.low + z * self.spans)
+            expected = np.sqrt(SETTINGS.correlated) * residual_of(self.off(values)[:, stated])
             return np.concatenate([self.residuals(values, level) + more[owners], expected], axis=1)
 
-        size, stated = len(self.used), self.firmness > 0.0
+        size, stated = len(self.used), self.stated
         begun = (np.array([start for _, start in jobs]) - self.low) / self.spans
         cheaper = partial(scaled, level="coarse") if level != "coarse" else None
         hopeless = None
@@ -347,7 +139,7 @@ class Search:
             hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + stated.sum()))
         result = descend(scaled, begun, free, rounds, self.difference, tolerance, hopeless, RESPONSE, slopes=cheaper,
                          width=width, near=None if self.exhaustive else STANDS, certain=level == "exact")  # fmt: skip
-        values = np.clip(self.low + result.z * self.spans, self.low, self.high)
+        values = self.within(self.low + result.z * self.spans)
         return [
             Refit(tuple(c.name for c in candidates), values[row], result.residuals[row, :size],
                   float(np.mean(result.residuals[row, :size] ** 2)), int(free[row].sum()), bool(result.converged[row]),
@@ -477,7 +269,7 @@ class Search:
         points[:, columns] += np.outer(
             [sign * by for by in AWAY for sign in (1.0, -1.0)], weakest * self.spans[columns]
         )
-        return list(np.clip(points, self.low, self.high))
+        return list(self.within(points))
 
     def _rough(self, refits: Sequence[Refit]) -> list[bool]:
         """Which of the refits the coarse step gets wrong: a torque that saturates soon, say."""
@@ -515,7 +307,8 @@ class Search:
     ) -> tuple[Array, Array]:
         """(K,) the best of values with each of (n,) in one place, within its bounds, and its (R,) residuals."""
         around = np.tile(values, (len(scanned), 1))
-        around[:, column] = np.clip(scanned, self.low[column], self.high[column])
+        around[:, column] = scanned
+        around = self.within(around)
         residuals = self.residuals(around, level)
         best = int(np.nanargmin(np.mean(residuals**2, axis=1)))
         return around[best], residuals[best]
@@ -553,48 +346,12 @@ class Search:
                 points += [TrialPoint(c, v, float(p), number, float(a)) for (c, v), p, a in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
-    def at(self, values: Array, like: Refit) -> Refit:
-        """The refit that has these values (K,)."""
-        there = replace(like, values=values, held=self.held_at(values))
-        return with_residuals(there, self.residuals(values[None])[0])
-
-    def moved(self, refit: Refit) -> Array:
-        """(k, K) values of a refit with each of its fitted ones, the base's first, moved by a finite difference."""
-        columns = self.fitted(refit)
-        moved = np.tile(refit.values, (len(columns), 1))
-        low, high = self.low[columns], self.high[columns]
-        steps = steps_within(refit.values[columns], (self._steps(refit) * self.spans)[columns], low, high)
-        moved[np.arange(len(columns)), columns] += steps
-        return moved
-
     def _pressed(self, refit: Refit, changes: Array) -> NDArray[np.bool_]:
         """(k,) which of the values that `moved` moves lie at a bound, and would make up for more beyond it."""
         columns = self.fitted(refit)
         return self.at_bound(refit.values[columns], columns) & (changes.T @ refit.residuals > 0.0)
 
-    def at_bound(self, values: Array, columns: Sequence[int] | NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(k,) which of the values (k,) of these columns lie at a bound."""
-        room = np.minimum(values - self.low[columns], self.high[columns] - values)
-        return np.asarray(room < AT_BOUND * self.spans[columns])
-
     def _held(self, refit: Refit) -> Array:
         """(k, k) how firmly each value that `moved` moves is held, per move."""
         columns = self.fitted(refit)
-        return np.diag((self.firmness_at(refit.values) * self._steps(refit))[columns])
-
-    def _steps(self, refit: Refit) -> Array:
-        """(K,) finite differences, normalised."""
-        return self.difference if refit.steps is None else refit.steps
-
-    def changes(self, refit: Refit) -> Array:
-        """(R, k) by which each value that `moved` moves changes residuals."""
-        changes: Array = np.nan_to_num(self.residuals(self.moved(refit)) - refit.residuals).T
-        return changes
-
-    def jacobian(self, refit: Refit) -> Array:
-        """(R, k) of a refit's residuals by its fitted values, each in shares of its span."""
-        columns = self.fitted(refit)
-        points = self.moved(refit)
-        steps = np.diagonal((points - refit.values)[:, columns]) / self.spans[columns]
-        answers = self.residuals(np.vstack([refit.values, points]))
-        return jacobian(answers[0], answers[1:], steps)
+        return np.diag((self.firmness_at(refit.values) * self.steps_of(refit))[columns])

@@ -284,7 +284,7 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
     if search.strain(base.values) < SETTINGS.strained:
         return []
     firm = search.as_stated()
-    start = np.where(search.firmness > 0.0, search.start, base.values)
+    start = np.where(search.stated, search.start, base.values)
     (stated,) = firm.refit([((), start)], ROUNDS)
     quick = [c for c in search.library.candidates if _quick(c)]
     tried = firm.trial_points([stated], quick)

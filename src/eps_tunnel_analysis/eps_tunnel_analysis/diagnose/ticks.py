@@ -17,7 +17,8 @@ from scipy import sparse
 from eps_tunnel_analysis.diagnose.candidates import COARSEST_TICK, Candidate, is_tick, roundings
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Refit, TrialPoint
-from eps_tunnel_analysis.diagnose.search import Search, directions
+from eps_tunnel_analysis.diagnose.search import Search
+from eps_tunnel_analysis.fit.differences import directions
 from labyrinth_sim.rig import Axis, Rig
 from labyrinth_sim.site import axis_site
 from labyrinth_sim.trials import Array

@@ -572,7 +572,7 @@ def _refitted(
 
     def begun(numbers: Mapping[str, float]) -> Array:
         given = [numbers.get(name, value) for name, value in zip(lib.names, search.start, strict=True)]
-        return np.clip(given, search.low, search.high)
+        return search.within(np.array(given))
 
     points = np.unique([begun(start), begun({**stated, **start})], axis=0)
     refit = lowest(search.refit([((own,), values) for values in points], LAW_ROUNDS, "fine"))
