@@ -70,11 +70,15 @@ def wrong_model() -> Model:
     return load_model("labyrinth_manual").with_values({"drive.x.p": 16.0, "drive.x.delay": 0.04})
 
 
+SAID: list[tuple[object, ...]] = []
+"""What the progress of `unbalanced` said, with the roll-outs so far."""
+
+
 @pytest.fixture(scope="session")
 def unbalanced() -> tuple[Play, Diagnosis]:
     """A recording of a rig out of balance, and its diagnosis on one thread."""
     play = as_play(recorded("gravity_load"))
-    return play, diagnose(wrong_model(), [play], only=FEW, nthread=1)
+    return play, diagnose(wrong_model(), [play], only=FEW, nthread=1, progress=lambda *said: SAID.append(said))
 
 
 @pytest.mark.study
@@ -134,6 +138,12 @@ def test_other_base_values_are_tried_where_those_of_a_fitted_model_leave_too_muc
         known = {name: model.values()[name] for name in part.base}
         base_values_module.base_refit(search, known, fitted=True)
     assert [len(model.effects) for model in asked] == [0]
+
+
+def test_what_leads_is_said_long_before_the_end(unbalanced: tuple[Play, Diagnosis]) -> None:
+    leading = [made for what, made, _ in SAID if what == "axis x, gravity_load.x so far"]
+    assert SAID[0][0] == "axis x"
+    assert 0 < int(str(leading[0])) < 0.7 * unbalanced[1].verdict.evaluations
 
 
 def test_what_is_said_of_an_axis_fits_together(unbalanced: tuple[Play, Diagnosis]) -> None:

@@ -24,6 +24,15 @@ def test_searches_that_follow_one_another_add_up_and_never_go_back() -> None:
     assert all(made < of for _, made, of in seen)
 
 
+def test_what_leads_so_far_is_said_with_its_search() -> None:
+    said: list[str] = []
+    count = RolloutCount(lambda what, made, of=0: said.append(f"{what} {made} {of}"))
+    count("axis x", 10)
+    count("axis y", 5, ("gravity_load.y", "backlash.y"))
+    count("axis x", 30)
+    assert said == ["axis x 10 0", "axis y, backlash.y + gravity_load.y so far 15 0", "axis x 35 0"]
+
+
 def test_more_candidates_and_more_axes_take_longer() -> None:
     one = expected_rollouts([(5, 3)])
     assert expected_rollouts([(5, 30)]) > one

@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     from eps_tunnel_analysis.diagnose.axis_search import SearchOptions
+    from eps_tunnel_analysis.diagnose.progress import RolloutCount
     from eps_tunnel_analysis.values.changes import changes, over_dates
 
     if arguments.out:
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> None:
     recorded = {label: _recorded(arguments, bags) for label, bags in _dates(arguments).items()}
     then, now = recorded[THEN], recorded[NOW]
     with rollout_progress() as progress:
-        options = SearchOptions(None, arguments.threads, progress)
+        options = SearchOptions(None, arguments.threads, RolloutCount(progress) if progress else None)
         changed = changes(then.model, then.plays, now.plays, arguments.candidates, arguments.keep_values, options)
         watched = changed.named if changed.outcome in ("changed", "undecided") else ()
         dates = over_dates(changed.model, {label: r.plays for label, r in recorded.items()}, watched, run=options)

@@ -17,6 +17,7 @@ from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_tick, library
 from eps_tunnel_analysis.diagnose.evidence import Evidence, PlayEvidence, play_evidence
 from eps_tunnel_analysis.diagnose.noise import largest_tick
+from eps_tunnel_analysis.diagnose.progress import SearchProgress
 from eps_tunnel_analysis.diagnose.roll_outs import DIFFERENCE, Level
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.fit.cluster import Spread
@@ -54,7 +55,7 @@ class SearchOptions:
     Attributes:
         only: names of the effects to consider; None for the whole library.
         nthread: 0 for one per CPU; the answer does not depend on it.
-        progress: called now and then with the current step and the number of roll-outs of this search.
+        progress: called now and then; see `SearchProgress`.
         spread: runs roll-outs elsewhere; None for this machine.
         exhaustive: without shortcuts: every effect is descended, and none given up before its descent has ended.
         fitted: the model's values were fitted to these recordings before.
@@ -62,7 +63,7 @@ class SearchOptions:
 
     only: tuple[str, ...] | None = None
     nthread: int = 0
-    progress: Callable[[str, int], None] | None = None
+    progress: SearchProgress | None = None
     spread: Spread | None = None
     exhaustive: bool = False
     fitted: bool = False
@@ -302,11 +303,11 @@ def side_by_side(
         return [search(item, run) for item in items]
     stop = Event()
 
-    def progress(what: str, count: int) -> None:
+    def progress(what: str, count: int, leading: Sequence[str] = (), /) -> None:
         if stop.is_set():
             raise Stopped
         if run.progress:
-            run.progress(what, count)
+            run.progress(what, count, leading)
 
     watched = replace(run, progress=progress)
 

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from threading import Lock
 from typing import Protocol
 
+from eps_tunnel_analysis.diagnose.rank import name_of
+
 PER_BASE_VALUE = 95  # roll-outs for each base value of an axis: fitted first, and again with the best effects
 PER_CANDIDATE = 30  # for each effect at each place: trial points, and its share of descents
 AND_THEN = 600  # for each axis: descents of the best, their rivals, judging
@@ -18,6 +20,12 @@ class RolloutProgress(Protocol):
     def __call__(self, what: str, count: int, of: int = 0, /) -> None: ...
 
 
+class SearchProgress(Protocol):
+    """Called with what is searched, its roll-outs so far, and the effects that explain most so far."""
+
+    def __call__(self, what: str, count: int, leading: Sequence[str] = (), /) -> None: ...
+
+
 def expected_rollouts(axes: Sequence[tuple[int, int]]) -> int:
     """About how many roll-outs a diagnosis takes, from the base values and the candidates of each axis."""
     sweeps = sum(PER_BASE_VALUE * base for base, _ in axes) if len(axes) > 1 else 0
@@ -25,17 +33,25 @@ def expected_rollouts(axes: Sequence[tuple[int, int]]) -> int:
 
 
 class RolloutCount:
-    """Adds up searches, each of which counts from 0. Those of one name run in sequence; others may run meanwhile."""
+    """Adds up searches, each of which counts from 0. Those of one name run in sequence; others may run meanwhile.
 
-    def __init__(self, report: RolloutProgress, expected: int) -> None:
+    What leads so far is said with the current step.
+
+    Args:
+        expected: about how many roll-outs there will be; 0 if unknown.
+    """
+
+    def __init__(self, report: RolloutProgress, expected: int = 0) -> None:
         self._report, self._expected = report, expected
         self._before, self._now = 0, dict[str, int]()
         self._lock = Lock()
 
-    def __call__(self, what: str, count: int) -> None:
+    def __call__(self, what: str, count: int, leading: Sequence[str] = (), /) -> None:
+        said = f"{what}, {name_of(leading)} so far" if leading else what
         with self._lock:
             if count < self._now.get(what, 0):
                 self._before += self._now[what]
             self._now[what] = count
             made = self._before + sum(self._now.values())
-            self._report(what, made, max(self._expected, math.ceil(MORE_TO_COME * made)))
+            of = max(self._expected, math.ceil(MORE_TO_COME * made)) if self._expected else 0
+            self._report(said, made, of)

@@ -34,7 +34,7 @@ class RollOuts(Room):
             level, if there is one, has the model's own steps.
         scale: (n,) the noise floor at each of the evidence's samples.
         used: (R,) which of the evidence's samples are compared.
-        progress: called with the number of roll-outs so far.
+        progress: called with the number of roll-outs so far, and the effects that explain most so far.
         difference: step of the finite differences, in shares of each value's span.
     """
 
@@ -44,7 +44,7 @@ class RollOuts(Room):
         levels: Mapping[Level, Evidence],
         scale: Array,
         used: NDArray[np.int64],
-        progress: Callable[[int], None] | None = None,
+        progress: Callable[[int, Sequence[str]], None] | None = None,
         difference: float = DIFFERENCE,
     ) -> None:
         super().__init__(library)
@@ -54,6 +54,7 @@ class RollOuts(Room):
         self.signal = self.blocks % len(self.evidence.signals)
         self.scale = self._noise = scale[used]
         self.evaluations = 0
+        self.leading: tuple[str, ...] = ()  # effects that explain most so far, for whoever watches
         self.shift = np.zeros(len(used))  # (R,) added to coarse residuals: the step's error near where the search is
         self.difference = np.full(len(self.start), difference)
         base = self.roughly_known
@@ -66,7 +67,7 @@ class RollOuts(Room):
         self.evaluations += len(values)
         seen = self.levels[level](values)[:, self.used] / self.scale
         if self.progress:
-            self.progress(self.evaluations)
+            self.progress(self.evaluations, self.leading)
         return seen + self.shift if level == "coarse" else seen
 
     def held_at(self, values: Array) -> float:

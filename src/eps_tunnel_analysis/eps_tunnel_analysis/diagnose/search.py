@@ -56,7 +56,7 @@ class Search(RollOuts):
         levels: Mapping[Level, Evidence],
         scale: Array,
         used: NDArray[np.int64],
-        progress: Callable[[int], None] | None = None,
+        progress: Callable[[int, Sequence[str]], None] | None = None,
         difference: float = DIFFERENCE,
         exhaustive: bool = False,
     ) -> None:

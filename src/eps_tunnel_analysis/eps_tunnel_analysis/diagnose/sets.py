@@ -85,6 +85,7 @@ def refitted_sets(
     points = [r.values for r in sorted(refits, key=lambda r: r.cost)[:BASE_STARTS]]
     base = better_base(search, base, points, lowest([base, *refits]).cost)
     best = lowest([base, *refits])
+    search.leading = best.effects if explains(base, best) else ()
     replaced: set[frozenset[str]] = set()  # sets whose rivals were tried
     if _helps(search, base, best):
         replaced.add(frozenset(best.effects))
@@ -155,6 +156,7 @@ def _grown(
                 more += rival_refits(search, better, [*refits, *more])
         refits = best_by_set([*refits, *more])
         best = lowest([base, *refits])
+        search.leading = best.effects
         if not (_leads_on(search, base, on, best, refits) and lacking(base, best, refits)):
             break
     return refits
