@@ -146,11 +146,11 @@ def test_cheap_slopes_lead_to_the_same_place_and_dear_ones_take_over_where_they_
         return residuals(z, owners)
 
     for cheap in (off, backwards):
-        found = descend(counted, starts, free, rounds=40, tolerance=1e-12, slopes=cheap)
+        found = descend(counted, starts, free, rounds=40, tolerance=1e-12, slopes=[cheap])
         assert np.allclose(found.z, TRUTH, atol=1e-3)
     asked.clear()
-    descend(counted, starts, free, rounds=3, tolerance=1e-12, slopes=off)
-    assert asked == [1, 3, 3, 3]  # the start, and the steps that are tried
+    descend(counted, starts, free, rounds=3, tolerance=1e-12, slopes=[off])
+    assert asked == [1, 1, 1, 1]  # the start, and the steps that the cheap one chooses
 
 
 @pytest.mark.parametrize("share", [10.0, 0.0])  # steps far too short, and none
@@ -161,7 +161,7 @@ def test_a_problem_that_is_to_be_certain_takes_its_own_slopes_once_cheap_ones_mi
     starts, free = np.full((1, 3), 0.4), np.ones((1, 3), bool)
 
     def left(certain: bool) -> float:
-        return float(descend(residuals, starts, free, rounds=8, slopes=mislead, certain=certain).cost[0])
+        return float(descend(residuals, starts, free, rounds=8, slopes=[mislead], certain=certain).cost[0])
 
     assert left(certain=True) < 1e-6 * left(certain=False)
 
@@ -189,3 +189,22 @@ def test_a_descent_far_behind_the_others_or_what_is_known_is_given_up_after_the_
     assert not known(costs).any()
     assert list(race(costs)) == [False, False, True]
     assert list(known(costs)) == [False, True, True]
+
+
+def test_the_next_simulator_leads_where_the_cheapest_misleads_and_the_problems_own_is_spared() -> None:
+    asked = []
+
+    def counted(z, owners):
+        asked.append(len(z))
+        return residuals(z, owners)
+
+    def backwards(z, owners):
+        return -residuals(z, owners)
+
+    def near(z, owners):
+        return 1.05 * residuals(z, owners) + 7.0
+
+    found = descend(counted, np.full((1, 3), 0.4), np.ones((1, 3), bool), rounds=40, tolerance=1e-9,
+                    slopes=[backwards, near], certain=True)  # fmt: skip
+    assert np.allclose(found.z, TRUTH, atol=1e-4) and found.converged.all()
+    assert set(asked) == {1}

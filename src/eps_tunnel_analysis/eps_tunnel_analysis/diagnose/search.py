@@ -133,7 +133,10 @@ class Search(RollOuts):
 
         size, stated = len(self.used), self.stated
         begun = (np.array([start for _, start in jobs]) - self.low) / self.spans
-        cheaper = partial(scaled, level="coarse") if level != "coarse" else None
+        longer: list[Level] = [] if level == "coarse" else ["coarse"]
+        if level == "exact" and self.levels["exact"].shortest < self.levels["fine"].shortest:
+            longer.append("fine")
+        cheaper = [partial(scaled, level=other) for other in longer]
         hopeless = None
         if race is not None and not self.exhaustive:
             hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + stated.sum()))

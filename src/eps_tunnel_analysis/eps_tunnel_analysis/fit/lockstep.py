@@ -3,10 +3,12 @@
 
 Levenberg-Marquardt with a few dampings tried at once, in a box. A round costs each problem one roll-out per
 free value for the Jacobian and one per damping for the step; the roll-outs of all problems go to the simulator
-together.
+together. Cheaper simulators may give the Jacobian and choose among the dampings: a model of lower fidelity, corrected
+where the problem is (Alexandrov, Dennis, Lewis, Torczon: A trust-region framework for managing the use of approximation
+models in optimization, Structural Optimization 15, 1998).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +62,7 @@ def descend(
     hopeless: Callable[[Array], NDArray[np.bool_]] | None = None,
     response: float | None = None,
     relative: bool = False,
-    slopes: BatchResiduals | None = None,
+    slopes: Sequence[BatchResiduals] = (),
     width: float | Array = 1.0,
     near: float | None = None,
     certain: bool = False,
@@ -79,11 +81,13 @@ def descend(
             Too small a one measures the misfit's roughness from stiction and ticks instead of its slope; a problem
             that makes no progress continues with wider ones before it rests.
         relative: the response is a share of the root mean square that is left.
-        slopes: a cheaper simulator, whose slopes replace the simulator's until a problem makes no progress with them.
+        slopes: cheaper simulators, the cheapest first. A problem takes the slopes of each until it makes no progress
+            with them, then those of the next, and the simulator's own last.
         width: of the box, one for all values or (K,).
         near: of two problems that move the same values and whose residuals differ by less than this in mean square, or
             by less than its square of what the better one leaves, only that one goes on after a round. None for all.
-        certain: a problem rests only where its own slopes let it, and takes these once the cheaper ones mislead it.
+        certain: a problem rests only where slopes other than the cheapest let it, and takes the next ones as soon as
+            some mislead it.
     """
     z = np.array(starts, dtype=np.float64)
     count, size = z.shape
@@ -98,13 +102,16 @@ def descend(
     rest = ~np.isfinite(cost) | ~free.any(axis=1) | (cost == 0.0)
     converged = ~free.any(axis=1) | (cost == 0.0)
     jacobians: dict[int, tuple[Array, NDArray[np.int64]]] = {}
-    cheap = np.full(count, slopes is not None)
+    simulators = (*slopes, residuals)
+    own = len(slopes)
+    source = np.zeros(count, dtype=np.int64)  # number of the simulator whose slopes each problem takes
+    missed = np.zeros_like(at)  # what that one gets wrong where the problem is
     wide = np.ones(count)
 
     def stuck(b: int) -> None:
-        """Continues with own slopes, then wider finite differences, or lets a problem rest that already has these."""
-        if cheap[b] and certain:
-            cheap[b] = False
+        """Continues with better slopes, then wider finite differences, or lets a problem rest that has these."""
+        if certain and source[b] == 0 < own:
+            source[b] += 1
             jacobians.pop(b, None)
             return
         if response is None or wide[b] == WIDER:
@@ -120,14 +127,16 @@ def descend(
         if len(active) == 0:
             break
         asked = np.array([b for b in active if b not in jacobians], dtype=np.int64)
-        for simulator, own in ((slopes, asked[cheap[asked]]), (residuals, asked[~cheap[asked]])):
-            if simulator is None or not len(own):
+        for number, simulator in enumerate(simulators):
+            askers = asked[source[asked] == number]
+            if not len(askers):
                 continue
-            here = at[own]
-            if simulator is not residuals:
-                here = simulator(z[own], own)
-                evaluations += len(own)
-            fresh, used = _jacobians(simulator, z, dict(zip(own, here, strict=True)), own, free, steps, widths)
+            here = at[askers]
+            if number < own:
+                here = simulator(z[askers], askers)
+                evaluations += len(askers)
+            missed[askers] = at[askers] - here
+            fresh, used = _jacobians(simulator, z, dict(zip(askers, here, strict=True)), askers, free, steps, widths)
             jacobians |= fresh
             evaluations += used
             if response is not None:
@@ -139,16 +148,25 @@ def descend(
         proposals = np.array(
             [_step(z[b], at[b], *jacobians[b], widths, f) for b, f in zip(tried, factors, strict=True)]
         )
-        answers = residuals(proposals, tried)
-        evaluations += len(tried)
+        chosen = source[tried] == own
+        for number, simulator in enumerate(slopes):  # which choose among the dampings, too
+            rows = np.flatnonzero(source[tried] == number).reshape(-1, len(DAMPINGS))
+            if rows.size:
+                foreseen = simulator(proposals[rows.ravel()], tried[rows.ravel()]) + missed[tried[rows.ravel()]]
+                evaluations += rows.size
+                lowest = np.argmin(_cost(foreseen).reshape(rows.shape), axis=1)
+                chosen[rows[np.arange(len(rows)), lowest]] = True
+        answers = np.full((len(tried), at.shape[1]), np.nan)
+        answers[chosen] = residuals(proposals[chosen], tried[chosen])
+        evaluations += int(chosen.sum())
         costs = _cost(answers).reshape(len(active), -1)
         for row, b in enumerate(active):
             winner = int(np.argmin(costs[row]))
             if costs[row, winner] >= cost[b]:
                 furthest = _step(z[b], at[b], *jacobians[b], widths, LEAST_DAMPED)
                 promise = _promise(z[b], at[b], *jacobians[b], furthest)
-                if cheap[b] and promise > LEAST_PROMISE * tolerance:
-                    cheap[b] = False
+                if source[b] < own and promise > LEAST_PROMISE * tolerance:
+                    source[b] += 1
                     del jacobians[int(b)]
                     continue
                 damping[b] *= 30.0
@@ -157,8 +175,9 @@ def descend(
                 continue
             gain = 1.0 - costs[row, winner] / cost[b]
             pick = row * len(DAMPINGS) + winner
-            if cheap[b] and certain:
-                cheap[b] = gain >= KEPT_PROMISE * _promise(z[b], at[b], *jacobians[b], proposals[pick])
+            if certain and source[b] < own:
+                promise = _promise(z[b], at[b], *jacobians[b], proposals[pick])
+                source[b] += gain < KEPT_PROMISE * promise
             z[b], at[b], cost[b] = proposals[pick], answers[pick], costs[row, winner]
             del jacobians[int(b)]
             damping[b] = np.clip(factors[pick] / 3.0, 1e-9, 1e6)
