@@ -211,3 +211,22 @@ def test_the_next_simulator_leads_where_the_cheapest_misleads_and_the_problems_o
     found = descend(never_met, starts, free, 40, tolerance=1e-4, slopes=[backwards, near], certain=True)
     assert found.converged.all() and found.cost == pytest.approx(lowest.cost, rel=1e-3)
     assert set(asked) == {1}  # never for slopes
+
+
+def test_of_the_dampings_only_the_one_that_the_cheaper_simulator_prefers_is_tried() -> None:
+    slopes, start = np.array([[1.0, 1.0], [1.0, 1.05]]), np.array([[0.5, 0.5]])
+    target = slopes @ start[0] + np.array([0.0, 0.02])  # 0.4 away, along what the slopes hardly show
+    asked = []
+
+    def dear(z, owners):
+        asked.append(np.abs(z - start).max())
+        return z @ slopes.T - target
+
+    def cheap(z, owners):
+        return np.where(np.abs(z - start).max(axis=1, keepdims=True) > 0.05, np.nan, z @ slopes.T - target)
+
+    descend(dear, start, np.ones((1, 2), bool), 1, tolerance=0.0)
+    assert len(asked) == 3 and asked[-1] > 0.05  # the start, slopes, all dampings
+    asked.clear()
+    found = descend(dear, start, np.ones((1, 2), bool), 1, tolerance=0.0, slopes=[cheap])
+    assert 0.0 < asked[-1] < 0.05 and found.cost < np.mean((start @ slopes.T - target) ** 2)
