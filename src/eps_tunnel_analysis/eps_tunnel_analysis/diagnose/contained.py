@@ -146,13 +146,25 @@ def leaves_something(search: Search, refit: Refit) -> bool:
 
 
 def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
-    """The best sets of effects, single ones included, each without one effect, at the values of the full set."""
+    """The best sets of effects, single ones included, each without one effect, at the values of the full set.
+
+    A general form of that effect may have left to it what it can do as well, such as the lower of two limits, so it is
+    tried with its values, too.
+    """
     jobs: list[Job] = []
     for refit in _best(refits):
         for name in refit.effects:
             kept, values = without(search, refit, name)
-            if not kept or {c.name for c in kept} not in [{c.name for c in other} for other, _ in jobs]:
-                jobs.append((kept, search.within(values)))
+            if kept and {c.name for c in kept} in [{c.name for c in other} for other, _ in jobs]:
+                continue
+            jobs.append((kept, search.within(values)))
+            for general in kept:
+                if shared := _shared(general, simple := search.library.find(name)):
+                    taken_over = values.copy()
+                    for own, its in shared.items():
+                        value = refit.values[search.columns(simple)[_place(simple, its)]]
+                        taken_over[search.columns(general)[_place(general, own)]] = value
+                    jobs.append((kept, search.within(taken_over)))
     return jobs
 
 

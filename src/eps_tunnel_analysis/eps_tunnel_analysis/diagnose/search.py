@@ -173,7 +173,8 @@ class Search(RollOuts):
             here = [r for r in going if (id(r) in finer) == (level == "fine")]
             late += self.refit([(self.library.of(r.effects), r.values) for r in here], rounds, level)
         ordered = best_by_set([*early, *late])
-        ordered = best_by_set([*ordered, *self._scanned(ordered[:SHORTLIST])])
+        more = [*self._scanned(ordered[:SHORTLIST]), *self._awakened(ordered[:SHORTLIST], rounds)]
+        ordered = best_by_set([*ordered, *more])
         best = ordered[:SHORTLIST]
         near = [r for i, r in enumerate(best) if i < LEAST_JUDGED or r.cost < OUT_OF_REACH * best[0].cost]
         judged = self.judged([(self.library.of(r.effects), r.values) for r in near], FINE_ROUNDS)
@@ -294,6 +295,30 @@ class Search(RollOuts):
                 jobs.append((self.library.of(refit.effects), best))
         return self.refit(jobs, FIRST_ROUNDS)
 
+    def _awakened(self, refits: Sequence[Refit], rounds: int) -> list[Refit]:
+        """Refits from the most promising of values over the whole range of each of their effects' values that lies at a
+        bound, or shows nothing, where a descent left it, as a limit that is not reached. It has no slope to descend.
+        """
+        jobs = []
+        for refit in refits:
+            own = np.array([i for c in self.library.of(refit.effects) for i in self.free_columns(c)], dtype=np.int64)
+            if len(own) < 2:
+                continue  # an effect that shows nothing at all is none
+            moved = np.nan_to_num(self.residuals(self.moved(refit)[-len(own) :]) - refit.residuals, nan=np.inf)
+            silent = np.mean(moved**2, axis=1) < SETTINGS.unfelt
+            columns = own[silent | self.at_bound(refit.values[own], own)]
+            if not len(columns):
+                continue
+            promises = self._promises(refit)
+            for column in columns:
+                points = np.tile(refit.values, (SCAN, 1))
+                low, high = self.low[column], self.high[column]
+                points[:, column] = np.geomspace(low, high, SCAN) if low > 0.0 else np.linspace(low, high, SCAN)
+                promised = promises(self.residuals(points))
+                if np.nanmin(promised) < refit.cost - SETTINGS.material:
+                    jobs.append((self.library.of(refit.effects), points[np.nanargmin(promised)]))
+        return self.refit(jobs, rounds)
+
     def _looked_around(self, refits: Sequence[Refit]) -> list[Refit]:
         """Refits at the best of values around each one's rough ones, for which the misfit's slope says little."""
         best_refits = []
@@ -333,21 +358,32 @@ class Search(RollOuts):
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row
                     pending.append((candidate, values))
-            changes = self.changes(refit)
-            free = ~self._pressed(refit, changes)
-            basis = directions(np.vstack([changes, self._held(refit)])[:, free])
-            more = basis.shape[0] - len(refit.residuals)
-            here = np.pad(refit.residuals, (0, more))
-            here -= basis @ (basis.T @ here)
+            promises = self._promises(refit)
             for low in range(0, len(pending), AT_ONCE):
                 answers = self.residuals(np.array([v for _, v in pending[low : low + AT_ONCE]]))
                 alone = with_best_share(refit.residuals, answers - refit.residuals) / len(refit.residuals)
-                # What the base values can compensate to first order does not count against a candidate.
-                answers = np.pad(answers, ((0, 0), (0, more)))
-                promised = with_best_share(here, answers - (answers @ basis) @ basis.T - here) / len(refit.residuals)
-                batch = zip(pending[low : low + AT_ONCE], promised, alone, strict=True)
+                batch = zip(pending[low : low + AT_ONCE], promises(answers), alone, strict=True)
                 points += [TrialPoint(c, v, float(p), number, float(a)) for (c, v), p, a in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
+
+    def _promises(self, refit: Refit) -> Callable[[Array], Array]:
+        """What turns residuals (n, R) of other values into the costs (n,) that they promise beside a refit: the lowest
+        with a share of what they change, to first order.
+
+        What the values that the refit fits can compensate does not count against them.
+        """
+        changes = self.changes(refit)
+        basis = directions(np.vstack([changes, self._held(refit)])[:, ~self._pressed(refit, changes)])
+        more = basis.shape[0] - len(refit.residuals)
+        here = np.pad(refit.residuals, (0, more))
+        here -= basis @ (basis.T @ here)
+
+        def promises(answers: Array) -> Array:
+            answers = np.pad(answers, ((0, 0), (0, more)))
+            changed = answers - (answers @ basis) @ basis.T - here
+            return np.asarray(with_best_share(here, changed) / len(refit.residuals))
+
+        return promises
 
     def _pressed(self, refit: Refit, changes: Array) -> NDArray[np.bool_]:
         """(k,) which of the values that `moved` moves lie at a bound, and would make up for more beyond it."""
