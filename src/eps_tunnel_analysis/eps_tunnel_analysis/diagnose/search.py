@@ -296,7 +296,7 @@ class Search(RollOuts):
         return self.refit(jobs, FIRST_ROUNDS)
 
     def _awakened(self, refits: Sequence[Refit], rounds: int) -> list[Refit]:
-        """Refits from the most promising of values over the whole range of each of their effects' values that lies at a
+        """Refits from the best of values over the whole range of each of their effects' values that lies at a
         bound, or shows nothing, where a descent left it, as a limit that is not reached. It has no slope to descend.
         """
         jobs = []
@@ -309,14 +309,15 @@ class Search(RollOuts):
             columns = own[silent | self.at_bound(refit.values[own], own)]
             if not len(columns):
                 continue
-            promises = self._promises(refit)
+            uncompensated = self._uncompensated(refit)
             for column in columns:
                 points = np.tile(refit.values, (SCAN, 1))
                 low, high = self.low[column], self.high[column]
                 points[:, column] = np.geomspace(low, high, SCAN) if low > 0.0 else np.linspace(low, high, SCAN)
-                promised = promises(self.residuals(points))
-                if np.nanmin(promised) < refit.cost - SETTINGS.material:
-                    jobs.append((self.library.of(refit.effects), points[np.nanargmin(promised)]))
+                costs = np.sum(uncompensated(self.residuals(points)) ** 2, axis=1) / len(refit.residuals)
+                best = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
+                if costs[best] < refit.cost - SETTINGS.material:
+                    jobs.append((self.library.of(refit.effects), points[best]))
         return self.refit(jobs, rounds)
 
     def _looked_around(self, refits: Sequence[Refit]) -> list[Refit]:
@@ -358,32 +359,30 @@ class Search(RollOuts):
                     values = refit.values.copy()
                     values[self.columns(candidate)] = row
                     pending.append((candidate, values))
-            promises = self._promises(refit)
+            uncompensated = self._uncompensated(refit)
+            here = uncompensated(refit.residuals)
             for low in range(0, len(pending), AT_ONCE):
                 answers = self.residuals(np.array([v for _, v in pending[low : low + AT_ONCE]]))
                 alone = with_best_share(refit.residuals, answers - refit.residuals) / len(refit.residuals)
-                batch = zip(pending[low : low + AT_ONCE], promises(answers), alone, strict=True)
+                # What the base values can compensate to first order does not count against a candidate.
+                promised = with_best_share(here, uncompensated(answers) - here) / len(refit.residuals)
+                batch = zip(pending[low : low + AT_ONCE], promised, alone, strict=True)
                 points += [TrialPoint(c, v, float(p), number, float(a)) for (c, v), p, a in batch]
         return sorted((point for point in points if np.isfinite(point.promised)), key=lambda point: point.promised)
 
-    def _promises(self, refit: Refit) -> Callable[[Array], Array]:
-        """What turns residuals (n, R) of other values into the costs (n,) that they promise beside a refit: the lowest
-        with a share of what they change, to first order.
-
-        What the values that the refit fits can compensate does not count against them.
+    def _uncompensated(self, refit: Refit) -> Callable[[Array], Array]:
+        """What leaves of residuals (..., R) only what the values that a refit fits cannot make up for, to first order:
+        (..., R and as many more as values are held).
         """
         changes = self.changes(refit)
         basis = directions(np.vstack([changes, self._held(refit)])[:, ~self._pressed(refit, changes)])
         more = basis.shape[0] - len(refit.residuals)
-        here = np.pad(refit.residuals, (0, more))
-        here -= basis @ (basis.T @ here)
 
-        def promises(answers: Array) -> Array:
-            answers = np.pad(answers, ((0, 0), (0, more)))
-            changed = answers - (answers @ basis) @ basis.T - here
-            return np.asarray(with_best_share(here, changed) / len(refit.residuals))
+        def uncompensated(residuals: Array) -> Array:
+            padded = np.concatenate([residuals, np.zeros((*residuals.shape[:-1], more))], axis=-1)
+            return np.asarray(padded - (padded @ basis) @ basis.T)
 
-        return promises
+        return uncompensated
 
     def _pressed(self, refit: Refit, changes: Array) -> NDArray[np.bool_]:
         """(k,) which of the values that `moved` moves lie at a bound, and would make up for more beyond it."""
