@@ -2,6 +2,7 @@
 """Values of an effect that lie at a bound or show nothing where a descent left them: a limit that is not reached."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,10 +46,12 @@ def test_a_limit_that_a_descent_never_reached_is_looked_for_over_its_whole_range
     assert found[0].cost < 2.0  # delay and damping make up for some of the acceleration
 
 
-def test_where_every_value_shows_nothing_is_looked_for(search: Search) -> None:
+def test_where_only_noise_is_left_or_every_value_shows_nothing_is_looked_for(search: Search) -> None:
     right = profiled(search, **REAL)
     before = search.evaluations
     assert search._awakened([right], 8) == []
+    assert search.evaluations == before
+    assert search._awakened([replace(right, cost=10.0)], 8) == []
     assert search.evaluations == before + 2  # one roll-out for each of its values
 
 

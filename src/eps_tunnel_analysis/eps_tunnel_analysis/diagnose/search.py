@@ -302,8 +302,8 @@ class Search(RollOuts):
         jobs = []
         for refit in refits:
             own = np.array([i for c in self.library.of(refit.effects) for i in self.free_columns(c)], dtype=np.int64)
-            if len(own) < 2:
-                continue  # an effect that shows nothing at all is none
+            if len(own) < 2 or refit.cost < SETTINGS.healthy:
+                continue  # an effect that shows nothing at all is none, and noise has nothing to gain
             moved = np.nan_to_num(self.residuals(self.moved(refit)[-len(own) :]) - refit.residuals, nan=np.inf)
             silent = np.mean(moved**2, axis=1) < SETTINGS.unfelt
             columns = own[silent | self.at_bound(refit.values[own], own)]
