@@ -397,7 +397,7 @@ def test_what_a_form_may_leave_of_a_single_trial_a_rival_of_a_single_form_may_no
 def test_an_effect_that_fits_better_with_the_values_of_a_pair_starts_again_there() -> None:
     """The drive's one value, 0 or 1, lies in a valley that only the pair has left; tick and play are the others."""
     columns = {"tick.x": [1], "play.x": [2]}
-    candidates = {name: SimpleNamespace(name=name) for name in columns}
+    candidates = {name: SimpleNamespace(name=name, place="", effect=SimpleNamespace(contains=())) for name in columns}
 
     def residuals(values: np.ndarray, level: str) -> np.ndarray:
         drive, tick = values[:, 0], values[:, 1]
@@ -417,7 +417,7 @@ def test_an_effect_that_fits_better_with_the_values_of_a_pair_starts_again_there
     library = SimpleNamespace(find=candidates.__getitem__, of=lambda names: tuple(candidates[n] for n in names))
     search: Any = SimpleNamespace(
         library=library, columns=lambda candidate: columns[candidate.name], residuals=residuals, judged=judged,
-        start=np.zeros(3), low=np.zeros(3), high=np.ones(3), held_at=lambda values: 0.0,
+        start=np.zeros(3), within=lambda values: values, held_at=lambda values: 0.0,
     )  # fmt: skip
     pair = refit(("tick.x", "play.x"), 1.0)
     base, refits = with_fewer_again(search, refit((), 1.0), [refit(("tick.x",), 0.0), pair])

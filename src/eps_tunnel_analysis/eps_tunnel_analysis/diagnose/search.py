@@ -133,10 +133,7 @@ class Search(RollOuts):
 
         size, stated = len(self.used), self.stated
         begun = (np.array([start for _, start in jobs]) - self.low) / self.spans
-        longer: list[Level] = [] if level == "coarse" else ["coarse"]
-        if level == "exact" and self.levels["exact"].shortest < self.levels["fine"].shortest:
-            longer.append("fine")
-        cheaper = [partial(scaled, level=other) for other in longer]
+        cheaper = partial(scaled, level="coarse") if level != "coarse" else None
         hopeless = None
         if race is not None and not self.exhaustive:
             hopeless = Race(FIRST_ROUNDS, HOPELESS, race * size / (size + stated.sum()))

@@ -3,12 +3,10 @@
 
 Levenberg-Marquardt with a few dampings tried at once, in a box. A round costs each problem one roll-out per
 free value for the Jacobian and one per damping for the step; the roll-outs of all problems go to the simulator
-together. Cheaper simulators may give the Jacobian and choose among the dampings: a model of lower fidelity, corrected
-where the problem is (Alexandrov, Dennis, Lewis, Torczon: A trust-region framework for managing the use of approximation
-models in optimization, Structural Optimization 15, 1998).
+together.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +60,7 @@ def descend(
     hopeless: Callable[[Array], NDArray[np.bool_]] | None = None,
     response: float | None = None,
     relative: bool = False,
-    slopes: Sequence[BatchResiduals] = (),
+    slopes: BatchResiduals | None = None,
     width: float | Array = 1.0,
     near: float | None = None,
     certain: bool = False,
@@ -81,13 +79,11 @@ def descend(
             Too small a one measures the misfit's roughness from stiction and ticks instead of its slope; a problem
             that makes no progress continues with wider ones before it rests.
         relative: the response is a share of the root mean square that is left.
-        slopes: cheaper simulators, the cheapest first. A problem takes the slopes of each until it makes no progress
-            with them, then those of the next, and the simulator's own last.
+        slopes: a cheaper simulator, whose slopes replace the simulator's until a problem makes no progress with them.
         width: of the box, one for all values or (K,).
         near: of two problems that move the same values and whose residuals differ by less than this in mean square, or
             by less than its square of what the better one leaves, only that one goes on after a round. None for all.
-        certain: a problem rests only where slopes other than the cheapest let it, and takes the next ones as soon as
-            some mislead it.
+        certain: a problem rests only where its own slopes let it, and takes these once the cheaper ones mislead it.
     """
     z = np.array(starts, dtype=np.float64)
     count, size = z.shape
@@ -102,16 +98,13 @@ def descend(
     rest = ~np.isfinite(cost) | ~free.any(axis=1) | (cost == 0.0)
     converged = ~free.any(axis=1) | (cost == 0.0)
     jacobians: dict[int, tuple[Array, NDArray[np.int64]]] = {}
-    simulators = (*slopes, residuals)
-    own = len(slopes)
-    source = np.zeros(count, dtype=np.int64)  # number of the simulator whose slopes each problem takes
-    missed = np.zeros_like(at)  # what that one gets wrong where the problem is
+    cheap = np.full(count, slopes is not None)
     wide = np.ones(count)
 
     def stuck(b: int) -> None:
-        """Continues with better slopes, then wider finite differences, or lets a problem rest that has these."""
-        if certain and source[b] == 0 < own:
-            source[b] += 1
+        """Continues with own slopes, then wider finite differences, or lets a problem rest that already has these."""
+        if cheap[b] and certain:
+            cheap[b] = False
             jacobians.pop(b, None)
             return
         if response is None or wide[b] == WIDER:
@@ -127,16 +120,14 @@ def descend(
         if len(active) == 0:
             break
         asked = np.array([b for b in active if b not in jacobians], dtype=np.int64)
-        for number, simulator in enumerate(simulators):
-            askers = asked[source[asked] == number]
-            if not len(askers):
+        for simulator, own in ((slopes, asked[cheap[asked]]), (residuals, asked[~cheap[asked]])):
+            if simulator is None or not len(own):
                 continue
-            here = at[askers]
-            if number < own:
-                here = simulator(z[askers], askers)
-                evaluations += len(askers)
-            missed[askers] = at[askers] - here
-            fresh, used = _jacobians(simulator, z, dict(zip(askers, here, strict=True)), askers, free, steps, widths)
+            here = at[own]
+            if simulator is not residuals:
+                here = simulator(z[own], own)
+                evaluations += len(own)
+            fresh, used = _jacobians(simulator, z, dict(zip(own, here, strict=True)), own, free, steps, widths)
             jacobians |= fresh
             evaluations += used
             if response is not None:
@@ -148,25 +139,16 @@ def descend(
         proposals = np.array(
             [_step(z[b], at[b], *jacobians[b], widths, f) for b, f in zip(tried, factors, strict=True)]
         )
-        chosen = source[tried] == own
-        for number, simulator in enumerate(slopes):  # which choose among the dampings, too
-            rows = np.flatnonzero(source[tried] == number).reshape(-1, len(DAMPINGS))
-            if rows.size:
-                foreseen = simulator(proposals[rows.ravel()], tried[rows.ravel()]) + missed[tried[rows.ravel()]]
-                evaluations += rows.size
-                lowest = np.argmin(_cost(foreseen).reshape(rows.shape), axis=1)
-                chosen[rows[np.arange(len(rows)), lowest]] = True
-        answers = np.full((len(tried), at.shape[1]), np.nan)
-        answers[chosen] = residuals(proposals[chosen], tried[chosen])
-        evaluations += int(chosen.sum())
+        answers = residuals(proposals, tried)
+        evaluations += len(tried)
         costs = _cost(answers).reshape(len(active), -1)
         for row, b in enumerate(active):
             winner = int(np.argmin(costs[row]))
             if costs[row, winner] >= cost[b]:
                 furthest = _step(z[b], at[b], *jacobians[b], widths, LEAST_DAMPED)
                 promise = _promise(z[b], at[b], *jacobians[b], furthest)
-                if source[b] < own and promise > LEAST_PROMISE * tolerance:
-                    source[b] += 1
+                if cheap[b] and promise > LEAST_PROMISE * tolerance:
+                    cheap[b] = False
                     del jacobians[int(b)]
                     continue
                 damping[b] *= 30.0
@@ -175,9 +157,8 @@ def descend(
                 continue
             gain = 1.0 - costs[row, winner] / cost[b]
             pick = row * len(DAMPINGS) + winner
-            if certain and source[b] < own:
-                promise = _promise(z[b], at[b], *jacobians[b], proposals[pick])
-                source[b] += gain < KEPT_PROMISE * promise
+            if cheap[b] and certain:
+                cheap[b] = gain >= KEPT_PROMISE * _promise(z[b], at[b], *jacobians[b], proposals[pick])
             z[b], at[b], cost[b] = proposals[pick], answers[pick], costs[row, winner]
             del jacobians[int(b)]
             damping[b] = np.clip(factors[pick] / 3.0, 1e-9, 1e6)
