@@ -18,6 +18,7 @@ from labyrinth_sim.trials import Trials
 
 TRUTH = {"drive.x.p": 18.0, "drive.x.i": 0.0, "drive.x.d": 0.95, "drive.x.delay": 0.032}
 FREE = tuple(TRUTH)
+WHOLE_DELAY = {**TRUTH, "drive.x.delay": 0.03}  # of samples, so that it is the same on any finer grid
 SAMPLES = 61
 
 

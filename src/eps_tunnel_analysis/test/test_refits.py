@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 from fit_cases import FREE, made_by, part_search, plays, refit, start
-from fit_cases import TRUTH as SLOW
+from fit_cases import WHOLE_DELAY as TRUTH
 
 from eps_tunnel_analysis.diagnose import base_values as base_values_module
 from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
@@ -28,7 +28,6 @@ from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
 from labyrinth_sim.trials import Trials
 
-TRUTH = {**SLOW, "drive.x.delay": 0.03}  # whole samples, so that it is the same on any finer grid
 SIGNALS = ("motor_x", "board_x")
 FRICTIONS = ("load_friction", "directional_load_friction")  # the second contains the first
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fit_cases import TRUTH as SLOW
+from fit_cases import WHOLE_DELAY as TRUTH
 from fit_cases import made_by, part_search, plays, refit, start, step
 
 from eps_tunnel_analysis.diagnose import evidence as evidence_module
@@ -13,8 +13,6 @@ from eps_tunnel_analysis.diagnose.roll_outs import STEPS_LONGER
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.diagnose.stated import strain_of
 from eps_tunnel_analysis.recorded_play import Play
-
-TRUTH = {**SLOW, "drive.x.delay": 0.03}  # whole samples, so that it is the same on any finer grid
 
 
 @pytest.fixture(scope="module")

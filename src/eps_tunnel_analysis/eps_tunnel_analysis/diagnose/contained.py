@@ -158,13 +158,12 @@ def _without_one(search: Search, refits: Sequence[Refit]) -> list[Job]:
             if kept and {c.name for c in kept} in [{c.name for c in other} for other, _ in jobs]:
                 continue
             jobs.append((kept, search.within(values)))
-            for general in kept:
-                if shared := _shared(general, simple := search.library.find(name)):
-                    taken_over = values.copy()
-                    for own, its in shared.items():
-                        value = refit.values[search.columns(simple)[_place(simple, its)]]
-                        taken_over[search.columns(general)[_place(general, own)]] = value
-                    jobs.append((kept, search.within(taken_over)))
+            simple = search.library.find(name)
+            for general in (c for c in kept if _shared(c, simple)):
+                taken_over = values.copy()
+                for own, its in _shared(general, simple).items():
+                    taken_over[_column(search, general, own)] = refit.values[_column(search, simple, its)]
+                jobs.append((kept, search.within(taken_over)))
     return jobs
 
 
@@ -193,8 +192,8 @@ def _with_simpler(search: Search, refits: Sequence[Refit]) -> list[Job]:
             if known.get(frozenset(c.name for c in kept), np.inf) < refit.cost + SETTINGS.material:
                 continue
             for its in set(shared.values()):
-                own = [search.columns(general)[_place(general, o)] for o, i in shared.items() if i == its]
-                values[search.columns(simple)[_place(simple, its)]] = np.mean(refit.values[own])
+                own = [_column(search, general, o) for o, i in shared.items() if i == its]
+                values[_column(search, simple, its)] = np.mean(refit.values[own])
             jobs.append((kept, search.within(values)))
     return jobs
 
@@ -221,8 +220,8 @@ def contained(search: Search, larger: Refit, smaller: Refit) -> Array | None:
             return None
         general = wider[0]
         for parameter, its in _as_simple(general, own):
-            number = its if isinstance(its, float) else smaller.values[search.columns(own)[_place(own, its)]]
-            values[search.columns(general)[_place(general, parameter)]] = number
+            number = its if isinstance(its, float) else smaller.values[_column(search, own, its)]
+            values[_column(search, general, parameter)] = number
         values[search.columns(own)] = search.start[search.columns(own)]
         added.remove(general.name)
     if set(smaller.effects) == set(larger.effects):
@@ -244,6 +243,11 @@ def _is_off(search: Search, candidate: Candidate, parameter: str, values: Array)
     place = _place(candidate, parameter)
     column, off = search.columns(candidate)[place], candidate.declared[place].off
     return off is not None and bool(abs(values[column] - off) < AT_BOUND * search.spans[column])
+
+
+def _column(search: Search, candidate: Candidate, parameter: str) -> int:
+    """Column of one of a candidate's parameters among the library's values."""
+    return search.columns(candidate)[_place(candidate, parameter)]
 
 
 def _place(candidate: Candidate, parameter: str) -> int:

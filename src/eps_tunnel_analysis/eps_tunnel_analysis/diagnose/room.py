@@ -78,9 +78,13 @@ class Room:
 
     def fitted(self, refit: Refit) -> list[int]:
         """Columns of the values that a refit fits among the library's, the base's first."""
-        own = [column for c in self.library.of(refit.effects) for column in self.free_columns(c)]
         kept = self.idle | self.sharp
-        return [column for column in (*range(len(self.library.base)), *own) if not kept[column]]
+        every = (*range(len(self.library.base)), *self.own_columns(refit))
+        return [column for column in every if not kept[column]]
+
+    def own_columns(self, refit: Refit) -> list[int]:
+        """Columns of the values of its effects that a refit fits."""
+        return [column for c in self.library.of(refit.effects) for column in self.free_columns(c)]
 
     def off(self, values: Array) -> Array:
         """How far values (..., K) are from what is stated, in units of what is expected of each."""

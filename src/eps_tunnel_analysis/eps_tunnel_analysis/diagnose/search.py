@@ -84,7 +84,7 @@ class Search(RollOuts):
     def as_stated(self) -> "Search":
         """The same, with the base values fixed for which the model states an expectation."""
         other = copy(self)
-        other.idle = self.idle | (self.stated)
+        other.idle = self.idle | self.stated
         return other
 
     def beside_stated(self, refits: Sequence[Refit], rounds: int, level: Level = "coarse") -> list[Array]:
@@ -298,7 +298,7 @@ class Search(RollOuts):
         """
         jobs = []
         for refit in refits:
-            own = np.array([i for c in self.library.of(refit.effects) for i in self.free_columns(c)], dtype=np.int64)
+            own = np.array(self.own_columns(refit), dtype=np.int64)
             if len(own) < 2 or refit.cost < SETTINGS.healthy:
                 continue  # an effect that shows nothing at all is none, and noise has nothing to gain
             moved = np.nan_to_num(self.residuals(self.moved(refit)[-len(own) :]) - refit.residuals, nan=np.inf)
