@@ -139,7 +139,7 @@ def simulate_batch(
         progress: called with the number of finished simulations.
         extrapolate: also step half as far, and extrapolate the motion to steps of no length (Richardson 1911): what
             MuJoCo's steps get wrong is of first order.
-        means: the commands are means over each sample, of commands that may change within it.
+        means: the commands are means over each sample, of commands that may change within it; so are the efforts.
 
     Raises:
         InputError: everything that is wrong with the arguments.
