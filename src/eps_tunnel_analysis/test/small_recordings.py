@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An arm, or a sledge, on one servo: its files in any unit, and recordings of what its model does."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,15 @@ import yaml
 from eps_tunnel_analysis.recording import CsvColumns, csv_to_bag
 from labyrinth_sim.model import Model
 from labyrinth_sim.simulate import simulate
+from labyrinth_sim.trials import Array
 
 MJCF = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
   <worldbody>{bodies}</worldbody><actuator><motor name="arm" joint="arm"/></actuator></mujoco>"""
 ARM = """<body><inertial pos="0.05 0 -0.1" mass="0.3" diaginertia="0.001 0.001 0.001"/>
   <joint name="arm" axis="0 1 0" armature="0.01"/></body>"""
 SLEDGE = (
-    '<body><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/><joint name="arm" type="slide" axis="1 0 0"/></body>'
+    '<body name="sledge"><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>'
+    '<joint name="arm" type="slide" axis="1 0 0"/></body>'
 )
 DRIVE = {"stiffness": "N m/rad", "damping": "N m s/rad", "torque": "N m", "delay": "s"}
 
@@ -44,11 +47,12 @@ def write_rig(folder: Path, slides: bool = False, **units: dict[str, object]) ->
 
 
 def record(
-    model: Model, bag: Path, position: float = 1.0, zero: float = 0.0, effort: float = 1.0, seed: int = 0
-) -> Path:
+    model: Model, bag: Path, position: float = 1.0, zero: float = 0.0, effort: float = 1.0, seed: int = 0,
+    moves: Callable[[Array], Array] = lambda time: 0.3 * np.sin(2.0 * time**1.5),
+) -> Path:  # fmt: skip
     """What the model does, as a bag: angles and targets in `position` rad, efforts in `effort` N m."""
     time = np.arange(300) * 0.01
-    target = 0.3 * np.sin(2.0 * time**1.5)
+    target = moves(time)
     seen = simulate(model, time, target[:, None])
     random = np.random.default_rng(seed)
     angle = seen.values[0, :, 0] + 1e-5 * random.standard_normal(300)

@@ -11,7 +11,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from eps_tunnel_analysis.diagnose.ball import BALL, BALL_DIFFERENCE, inexactness, on_ball, part_name, values_of
 from eps_tunnel_analysis.diagnose.candidates import Candidate, Library, is_tick, library
@@ -35,8 +34,7 @@ from labyrinth_sim.trials import Array
 STEPS: Mapping[Level, float] = {"coarse": 0.005, "fine": 0.0025, "exact": 0.00125}
 """s between the steps of roll-outs: to search; and, if these cannot be extrapolated, where they err, and to judge"""
 BEGUN = 0.25  # s after the start, before which nothing is compared: a roll-out starts where sensors say
-TURN = 0.05  # s over which a change of the command's speed counts as one
-SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; less is steady
+SPEED_CHANGE = 0.1  # 1/s, relative to the command's range; more from one sample to the next is sudden
 SETTLED = 0.25  # s after which a motion is steady again
 EFFORT_STEP = 0.005  # of the largest effort: what a load register resolves, but no less than
 LOAD_STEP = 0.001  # of the servo's full torque
@@ -269,22 +267,21 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
 
 
 def _steady(play: PlayEvidence, channel: str) -> NDArray[np.bool_]:
-    """For each bin of a play whether the command has kept its speed for a while: at rest, on ramps.
+    """For each bin of a play whether the command has not changed its speed suddenly for a while.
 
-    Elsewhere a drive's effort is mostly inertia, sampled once per controller cycle, and not comparable.
+    Where it has, a drive's effort is a short peak, sampled once per controller cycle, and not comparable.
     """
     return is_steady(setpoints(play.trials, channel, play.width, int(play.seconds / play.width) + 1), play.width)
 
 
 def is_steady(command: Array, step: float) -> NDArray[np.bool_]:
-    """(T,) whether a command (T,) rad, NaN where the drive is off, has kept its speed for a while."""
+    """(T,) whether a command (T,) rad, NaN where the drive is off, has not changed its speed suddenly for a while."""
     held = np.where(np.isfinite(command), command, 0.0)
-    span = max(1, round(TURN / step))
     speed = np.gradient(held, step) if len(held) > 1 else np.zeros_like(held)
-    turn = maximum_filter1d(speed, span) - minimum_filter1d(speed, span)
-    busy = turn > SPEED_CHANGE * max(float(np.ptp(held)), 1e-9)
+    turn = np.abs(np.diff(speed, append=speed[-1:]))
+    sudden = turn > SPEED_CHANGE * max(float(np.ptp(held)), 1e-9)
     recent = max(1, round(SETTLED / step))
-    return np.asarray(np.convolve(busy, np.ones(recent))[: len(busy)] < 0.5) & np.isfinite(command)
+    return np.asarray(np.convolve(sudden, np.ones(recent))[: len(sudden)] < 0.5) & np.isfinite(command)
 
 
 class Stopped(Exception):

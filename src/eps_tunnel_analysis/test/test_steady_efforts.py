@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where efforts are compared: not beside sudden changes of the command's speed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_recordings import record, write_rig
+
+from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, is_steady
+from eps_tunnel_analysis.diagnose.base_values import base_refit
+from eps_tunnel_analysis.inputs import load_recorded
+from labyrinth_sim.model import load_model, save_model
+from labyrinth_sim.trials import Array
+
+TIME = np.arange(400) * 0.01  # s
+
+
+def smooth_move(time: Array) -> Array:
+    """0.2 rad in a second with the least jerk, then still."""
+    s = np.clip(time - 1.0, 0.0, 1.0)
+    return np.asarray(0.2 * (10 * s**3 - 15 * s**4 + 6 * s**5))
+
+
+def test_a_smooth_move_is_steady_and_sudden_ones_are_not() -> None:
+    assert is_steady(smooth_move(TIME), 0.01).all()
+    step, corner = np.where(TIME < 2.0, 0.0, 0.2), np.maximum(TIME - 2.0, 0.0) * 0.1
+    for sudden in (step, corner):
+        near = (TIME > 1.995) & (TIME < 2.2)
+        assert not is_steady(sudden, 0.01)[near].any()
+        assert is_steady(sudden, 0.01)[(TIME < 1.95) | (TIME > 2.3)].all()
+
+
+def test_a_drive_that_is_off_is_not_steady() -> None:
+    off = np.where(TIME < 2.0, 0.1, np.nan)
+    assert not is_steady(off, 0.01)[TIME > 2.0].any()
+
+
+def test_the_efforts_of_smooth_moves_tell_the_mass(tmp_path: Path) -> None:
+    model = load_model(write_rig(tmp_path, slides=True))
+    bag = record(model, tmp_path / "bag", moves=lambda time: 0.1 - 0.1 * np.cos(np.pi * time))
+    heavier = save_model(model.with_values({"body.sledge.mass": 2.3, "drive.a.stiffness": 66.0}), tmp_path / "off.yaml")
+    recorded = load_recorded(heavier, [bag], efforts=True)
+    (part,) = axis_parts(recorded.model, recorded.plays)
+    search = axis_search(recorded.model, recorded.plays, part, SearchOptions(only=(), nthread=1))
+    found = search.library.base_of(base_refit(search).values)
+    assert found["body.sledge.mass"] == pytest.approx(2.0, rel=0.02)
+    assert found["drive.a.stiffness"] == pytest.approx(60.0, rel=0.02)
