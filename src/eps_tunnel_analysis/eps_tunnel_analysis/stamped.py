@@ -16,6 +16,8 @@ from labyrinth_sim.shown import shown
 from labyrinth_sim.trials import Array, Trials, locked
 
 ROUNDING = 1e-9  # s; a grid's end and a trial's are the same instant in other sums
+CYCLE = 1.5e-3  # s; servos compute their effort about each millisecond, and stamps jitter
+STRAIGHT = (np.arange(16) + 0.5) / 16.0 - 0.5  # of the time between two commands: held over all of these, straight
 ALIGNED = 0.05  # s; commands of one trial further from those of the others were not the same messages
 
 
@@ -109,6 +111,10 @@ def setpoints(trials: Sequence[StampedTrial], channel: str, step: float, count: 
     A command that changes within a step counts for the part of it that is left, so no stamp is moved to the grid; and
     the mean answer of trials whose stamps jitter is the answer to their mean command, to first order. NaN where most
     trials were switched off, or had got no command yet.
+
+    A command is held until the next one. One that comes as often as a drive computes its effort goes straight to it
+    instead, as late in the mean: held, it would make a drive that never rests between its computations push and let go
+    in between.
     """
     edges = step * np.arange(count + 1)
     total, weight = np.zeros(count), np.zeros(count)
@@ -121,8 +127,15 @@ def setpoints(trials: Sequence[StampedTrial], channel: str, step: float, count: 
         lengths = np.diff(knots)
         area = np.concatenate([[0.0], np.cumsum(np.where(on, series.values, 0.0) * lengths)])
         time_on = np.concatenate([[0.0], np.cumsum(on * lengths)])
-        total += np.diff(np.interp(edges, knots, area))
-        weight += np.diff(np.interp(edges, knots, time_on))
+        lasts = np.diff(np.interp(edges, knots, time_on))
+        apart = float(np.mean(lengths[:-1])) if len(lengths) > 1 else np.inf
+        if apart < CYCLE:
+            near = [edges + shift * apart for shift in STRAIGHT]
+            own, on_near = (sum(np.diff(np.interp(e, knots, sums)) for e in near) for sums in (area, time_on))
+            total += lasts * own / np.maximum(on_near, 1e-300)
+        else:
+            total += np.diff(np.interp(edges, knots, area))
+        weight += lasts
     share = weight / (step * len(trials))
     return np.where(share > 0.5, total / np.maximum(weight, 1e-300), np.nan)
 

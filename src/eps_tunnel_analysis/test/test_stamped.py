@@ -65,6 +65,19 @@ def test_a_step_within_a_step_of_the_grid_counts_for_what_is_left_of_it(part: fl
     assert found[101:] == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize("rate", [1000.0, 100.0])
+def test_commands_as_frequent_as_a_drive_computes_go_straight_and_others_are_held(rate: float) -> None:
+    time = np.arange(round(SECONDS * rate) + 1) / rate
+    short = 0.0003
+    found = setpoints([commanded(time, 0.2 * time)], "a", short, round(SECONDS / short))
+    middle = short * (np.arange(len(found)) + 0.5)
+    late = 0.2 * (middle - 0.5 / rate)  # a held command is, in the mean
+    inside = (middle > 0.1) & (middle < SECONDS - 0.1)
+    assert np.mean((found - late)[inside]) == pytest.approx(0.0, abs=1e-7)
+    wave = np.ptp((found - late)[inside]) * rate / 0.2  # of the way between two commands
+    assert wave < 0.1 if rate == 1000.0 else wave > 0.9
+
+
 def test_setpoints_of_trials_are_the_mean_of_each_one_s() -> None:
     trials = [commanded([0.0, 0.5 + late], [0.2, -0.4]) for late in (-0.007, 0.0, 0.0021, 0.013)]
     alone = [setpoints([trial], "a", STEP, COUNT) for trial in trials]

@@ -88,7 +88,6 @@ class Engine:
         self._measured = self._columns(self._addresses)
         self._signals = len(model.rig.measured) + (len(BALL_SIGNALS) if plan.with_ball else 0)
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS if plan.with_ball else mujoco.mjtStage.mjSTAGE_NONE)
-        self._means = False  # whether efforts are means over samples
         self.failed: NDArray[np.bool_] = np.zeros(nsim, dtype=bool)
         self.messages: dict[int, str] = {}
         if plan.with_ball:
@@ -131,13 +130,12 @@ class Engine:
         """Rolls out all targets (nsim, T, u) rad, each held for a sample; NaN switches that axis's drive off.
 
         Args:
-            means: they are means over each sample, of commands that may change within it; then so are the efforts.
+            means: they are means over each sample, of commands that may change within it.
 
         Returns:
             (nsim, T, m) signals at the start of each sample, before any sensor's effects; the ball's last. Efforts are
             those that act from then on.
         """
-        self._means = means
         targets, steps = command_steps(targets, self._reach) if means else (targets, None)
         if steps:
             _ = self._torques  # reads the drives' fields before any law changes them
@@ -230,7 +228,7 @@ class Engine:
                     more = runner.push(here, controls[i, low], self._integral[i], self._torques) if here else None
                     at = runner.roll(laws, i, controls[i, low:high], targets[i, low:high], gain[i],
                                      self._ticks[i], self._integral[i], self.substeps, self.step,
-                                     measured, LIMIT, self._means, raw[i, low:high])  # fmt: skip
+                                     measured, LIMIT, raw[i, low:high])  # fmt: skip
                     if more is not None:
                         self._count(more[None], raw[i : i + 1, low])
                         runner.push_no_more()
@@ -270,10 +268,7 @@ class Engine:
         for column, (quantity, address) in enumerate(self._addresses):
             found = seen[RECORDED[quantity]][:, :, address]
             if quantity == "torque":  # what acted during a step is recorded with it
-                acted = found[:, :: self.substeps].copy()
-                for k in range(1, self.substeps if self._means else 1):
-                    acted += (found[:, k :: self.substeps] - acted) / (k + 1)
-                raw[rows, low:high, column] = acted
+                raw[rows, low:high, column] = found[:, :: self.substeps]
             else:
                 after = found[:, self.substeps - 1 :: self.substeps]
                 last = min(high + 1, raw.shape[1])
@@ -292,7 +287,7 @@ class Engine:
         """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off.
 
         Args:
-            seen: (nsim, m) signals; their efforts become those that acted at first, or the means.
+            seen: (nsim, m) signals; their efforts become those that acted at first.
             steps: of commands within this sample.
         """
         off = np.isnan(target)
@@ -312,29 +307,27 @@ class Engine:
         more = None
         if steps:
             more = self._push(steps, np.array([base[a][i] for i, a in zip(steps.sim, steps.axis, strict=True)]))
-        apart = self.substeps if self._every_step or self._means else 1
-        for k in range(apart):
-            if self._every_step:
-                self._before_step(target, base, off)
-                if more is not None:
-                    self.live.applied += more
+        if not self._every_step:
+            self._first(seen, partial(self.batch.step, nstep=1, stage=self._stage if self.substeps == 1 else 0))
+            if self.substeps > 1:
+                self._run(partial(self.batch.step, nstep=self.substeps - 1, stage=self._stage))
+        for k in range(self.substeps if self._every_step else 0):
+            self._before_step(target, base, off)
+            if more is not None:
+                self.live.applied += more
             stage = self._stage if k == self.substeps - 1 else 0
-            self._run(partial(self.batch.step, nstep=1, stage=stage))
-            if seen is not None and (k == 0 or self._means):
-                self._add_efforts(seen, k)
-        if apart < self.substeps:
-            self._run(partial(self.batch.step, nstep=self.substeps - apart, stage=self._stage))
+            self._first(seen if k == 0 else None, partial(self.batch.step, nstep=1, stage=stage))
         if more is not None:
             self.live.applied[...] = self.fields.torque
             if seen is not None:
                 self._count(more, seen)
 
-    def _add_efforts(self, seen: Array, step: int) -> None:
-        """Makes the efforts among signals (nsim, m) the means of those of all steps up to this one."""
-        for column, (quantity, address) in enumerate(self._addresses):
-            if quantity == "torque":
-                before = seen[:, column] if step else 0.0
-                seen[:, column] = before + (self.live.actuator[:, address] - before) / (step + 1)
+    def _first(self, seen: Array | None, call: Callable[[NDArray[np.int32] | None], None]) -> None:
+        self._run(call)
+        if seen is not None:
+            for column, (quantity, address) in enumerate(self._addresses):
+                if quantity == "torque":
+                    seen[:, column] = self.live.actuator[:, address]
 
     def _control(self, channel: int, control: Array, off: NDArray[np.bool_]) -> None:
         actuator = self.plan.drives[channel][2].actuator

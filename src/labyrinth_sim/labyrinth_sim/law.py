@@ -265,7 +265,6 @@ def roll(
     every: float,
     measured: Addresses,
     limit: float,
-    means: bool,
     out: Any,
 ) -> int:
     """Steps one simulation through all samples.
@@ -287,7 +286,6 @@ def roll(
         every: s of a sample.
         measured: (m, 2) which of positions, speeds, torques (0, 1, 2), and its index.
         limit: rad/s; beyond, it has diverged.
-        means: torques are means over each sample, else those of its first step.
         out: (T, m), written.
 
     Returns:
@@ -333,11 +331,10 @@ def roll(
             for j in range(first_force, count):
                 _call(laws[j], raws[j, 0:7].ctypes.data)
             _call_step(step, model, data)
-            for c in range(measured.shape[0]):
-                if measured[c, 0] == 2 and sub == 0:
-                    out[k, c] = torque[measured[c, 1]]
-                elif measured[c, 0] == 2 and means:
-                    out[k, c] += (torque[measured[c, 1]] - out[k, c]) / (sub + 1)
+            if sub == 0:
+                for c in range(measured.shape[0]):
+                    if measured[c, 0] == 2:
+                        out[k, c] = torque[measured[c, 1]]
         for i in range(nv):
             if not abs(qvel[i]) < limit:
                 return k

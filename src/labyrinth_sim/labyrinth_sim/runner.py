@@ -186,7 +186,6 @@ class Runner:
         every: float,
         measured: Addresses,
         limit: float,
-        means: bool,
         out: Array,
     ) -> int:
         """The sample at which the simulation diverged, or -1; see `labyrinth_sim.law.roll`."""
@@ -205,5 +204,5 @@ class Runner:
             laws.arguments(simulation, table)[which], restore, at, laws.drives, np.ascontiguousarray(control),
             np.ascontiguousarray(targets), np.ascontiguousarray(gain),
             np.ascontiguousarray(ticks), np.ascontiguousarray(integral), self._sums, substeps, every,
-            measured, limit, means, out,
+            measured, limit, out,
         ))  # fmt: skip

@@ -119,6 +119,7 @@ def simulate_batch(
     progress: Callable[[int], None] | None = None,
     extrapolate: bool = False,
     means: bool = False,
+    halves: ArrayLike | None = None,
 ) -> BatchResult:
     """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
 
@@ -139,7 +140,9 @@ def simulate_batch(
         progress: called with the number of finished simulations.
         extrapolate: also step half as far, and extrapolate the motion to steps of no length (Richardson 1911): what
             MuJoCo's steps get wrong is of first order.
-        means: the commands are means over each sample, of commands that may change within it; so are the efforts.
+        means: the commands are means over each sample, of commands that may change within it.
+        halves: (c, 2T, u) rad, such means over half samples, for the steps half as long. Without them these are held
+            at the mean of a whole sample, and efforts miss by what the command goes in half a step.
 
     Raises:
         InputError: everything that is wrong with the arguments.
@@ -147,12 +150,14 @@ def simulate_batch(
     grid, block = np.asarray(time, float), np.asarray(commands, float)
     table = np.atleast_2d(np.asarray(values, float))
     ball = with_ball if with_ball is not None else bool(initial) and any(s in (initial or {}) for s in BALL_SIGNALS)
-    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep)
+    finer = None if halves is None else np.asarray(halves, float)
+    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep, finer)
     n, c = len(table), len(block)
     step = float((grid[-1] - grid[0]) / (len(grid) - 1))
     even = even_timestep(step, timestep, model, ball)
     plans = [compiled(model, ball, even / parts) for parts in ((1, 2) if extrapolate else (1,))]
     plan = plans[0]
+    asked = [(step, block), (step, block) if finer is None else (step / 2.0, finer)][: len(plans)]
     every = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if ball else ())
     unseen = [unknown_name("simulated signal", name, every) for name in signals or () if name not in every]
     if unseen:
@@ -177,11 +182,12 @@ def simulate_batch(
         own = {name: given[alone] for name, given in numbers.items()}
         owner = plays[which[alone]]
         start = {name: given[alone] for name, given in first.items()}
-        engines = [Engine(model, each, own, len(alone), step, nthread) for each in here]
-        rolled = [
-            _roll_out(model, *pair, own, step, block[owner], start, holds[owner], means)
-            for pair in zip(here, engines, strict=True)
-        ]
+        engines, rolled = [], []
+        for each, (apart, given) in zip(here, asked, strict=True):
+            engine = Engine(model, each, own, len(alone), apart, nthread)
+            motion = _roll_out(model, each, engine, own, apart, given[owner], start, holds[owner], means)
+            engines.append(engine)
+            rolled.append(motion[:, :: round(step / apart)])
         raw = (2.0 * rolled[1] - rolled[0] if extrapolate else rolled[0])[shared]
         seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
@@ -189,7 +195,7 @@ def simulate_batch(
             out[which[engine.failed[shared]]] = np.nan
             texts = [(i, engine.messages[int(k)]) for i, k in zip(which, shared, strict=True) if engine.failed[k]]
             messages |= {(int(sets[i]), int(plays[i])): text for i, text in texts}
-            steps += len(alone) * engine.substeps * (len(grid) - 1)
+            steps += len(alone) * round(engine.substeps * step / engine.step) * (len(grid) - 1)
         done += len(which)
         if progress:
             progress(done)
@@ -277,6 +283,7 @@ def _check(
     resting: ArrayLike | None,
     ball: bool,
     timestep: float | None,
+    finer: Array | None,
 ) -> None:
     known = model.parameters()
     complaints = [unknown_name("parameter", n, known) for n in (*names, *(per_command or {})) if n not in known]
@@ -306,6 +313,8 @@ def _check(
             f"commands must have shape (c, {len(grid)}, {u}) for {', '.join(model.rig.command_channels)}, "
             f"got {block.shape}."
         )
+    elif finer is not None and finer.shape != (len(block), 2 * len(grid), u):
+        complaints.append(f"halves must have shape ({len(block)}, {2 * len(grid)}, {u}), got {finer.shape}.")
     if np.isinf(block).any():
         complaints.append("commands must be finite, or NaN where the drive is off.")
     valid = model.rig.signals

@@ -84,7 +84,6 @@ def test_mujoco_without_a_stop_gives_what_single_steps_give(name: str) -> None:
     turns[:, 7::7] *= 0.3  # within the sample
     targets, steps = command_steps(turns, stepped._reach)
     assert steps is not None
-    stepped._means = True
     assert np.array_equal(rolled.roll(turns, means=True), stepped._stepped(targets, steps))
 
 
@@ -155,19 +154,21 @@ def test_an_effort_is_the_one_that_acts_from_its_sample_on(model: Model) -> None
 
 @pytest.mark.parametrize("effect", ["", "load_friction", "backlash"])
 def test_the_effort_of_an_extrapolated_ramp_is_the_friction(model: Model, effect: str) -> None:
-    """Beside nothing, a force before every step, and an error; a target held for a sample must not add to it."""
+    """Beside nothing, a force before every step, and an error; a target held for a sample would add to it."""
     bare = model.with_effect("coulomb_friction", "x", {"torque": 0.2, "slow": 0.0})
-    for place in ("x",) if effect else ():
-        bare = bare.with_effect(effect, place)
-    ramp = np.tile(0.08 * TIME[:, None], 2)
+    bare = bare.with_effect(effect, "x") if effect else bare
+
+    def ramp(time: np.ndarray, step: float) -> np.ndarray:
+        return np.tile(0.08 * (time[:, None] + step / 2.0), 2)
+
+    halves, often = np.arange(2 * len(TIME)) * 0.005, np.arange(20 * (len(TIME) - 1) + 1) * 0.0005
     seen = simulate_batch(
-        bare, (), np.empty((1, 0)), TIME, ramp[None], signals=("motor_x_effort",), timestep=0.01, extrapolate=True,
-        means=True,
+        bare, (), np.empty((1, 0)), TIME, ramp(TIME, 0.01)[None], signals=("motor_x_effort",), timestep=0.01,
+        extrapolate=True, means=True, halves=ramp(halves, 0.005)[None],
     )  # fmt: skip
-    often = np.linspace(0.0, TIME[-1], 20 * (len(TIME) - 1) + 1)
-    exact = simulate(bare, often, np.tile(0.08 * often[:, None], 2))
-    wanted = exact.values[0, often > 0.5 * TIME[-1], exact.index("motor_x_effort")]
-    assert np.mean(seen.values[0, 0, 0.5 * TIME[-1] < TIME, 0]) == pytest.approx(np.mean(wanted), abs=0.003)
+    exact = simulate(bare, often, ramp(often, 0.0005))
+    wanted = exact.values[0, often > 0.75, exact.index("motor_x_effort")]
+    assert np.mean(seen.values[0, 0, TIME > 0.75, 0]) == pytest.approx(np.mean(wanted), abs=0.003)
 
 
 def test_a_drive_switched_off_lets_go(model: Model) -> None:

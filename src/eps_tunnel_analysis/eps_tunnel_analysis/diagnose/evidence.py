@@ -195,11 +195,17 @@ class Evidence:
     @cached_property
     def commands(self) -> list[Array]:
         """For each play (K, u) rad, the setpoint during each step of its grid; NaN where the drive is off."""
-        channels = self.model.rig.command_channels
-        return [
-            np.column_stack([setpoints(p.trials, c, self.step(i), self.count(i)) for c in channels])
-            for i, p in enumerate(self.plays)
-        ]
+        return [self._setpoints(play, 1) for play in range(len(self.plays))]
+
+    @cached_property
+    def _halves(self) -> list[Array]:
+        """For each play (2K, u) rad, the setpoint during each half of a step of its grid."""
+        return [self._setpoints(play, 2) for play in range(len(self.plays))]
+
+    def _setpoints(self, play: int, parts: int) -> Array:
+        """(K * parts, u) rad, the setpoint during each part of a step of a play's grid."""
+        trials, step, count = self.plays[play].trials, self.step(play) / parts, self.count(play) * parts
+        return np.column_stack([setpoints(trials, c, step, count) for c in self.model.rig.command_channels])
 
     @cached_property
     def initial(self) -> list[dict[str, Array]]:
@@ -243,6 +249,7 @@ class Evidence:
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
                 extrapolate=self.extrapolate, means=True,
+                halves=self._halves[number][None] if self.extrapolate else None,
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]
