@@ -48,6 +48,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_bearings": "the library's size moves no path; 870918 on: bearings by direction, a share for each set",
     "diagnosis_split": "as the end of the last row",
     "diagnosis_reached": "limits that a descent never reached are looked for; as tried, longer steps chose dampings",
+    "diagnosis_efforts": "before efforts of smooth motion; five were looked at again with these, the same",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
