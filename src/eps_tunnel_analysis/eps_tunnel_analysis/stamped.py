@@ -38,6 +38,11 @@ class Series:
         object.__setattr__(self, "time", locked(self.time))
         object.__setattr__(self, "values", locked(self.values))
 
+    @property
+    def interval(self) -> float:
+        """s, mean time from one value to the next; inf if there is only one."""
+        return float(np.mean(np.diff(self.time))) if len(self.time) > 1 else np.inf
+
 
 @shown
 @dataclass(frozen=True)
@@ -128,7 +133,7 @@ def setpoints(trials: Sequence[StampedTrial], channel: str, step: float, count: 
         area = np.concatenate([[0.0], np.cumsum(np.where(on, series.values, 0.0) * lengths)])
         time_on = np.concatenate([[0.0], np.cumsum(on * lengths)])
         lasts = np.diff(np.interp(edges, knots, time_on))
-        apart = float(np.mean(lengths[:-1])) if len(lengths) > 1 else np.inf
+        apart = series.interval
         if apart < CYCLE:
             near = [edges + shift * apart for shift in STRAIGHT]
             own, on_near = (sum(np.diff(np.interp(e, knots, sums)) for e in near) for sums in (area, time_on))

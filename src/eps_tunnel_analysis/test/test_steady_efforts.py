@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where efforts are compared: not beside sudden changes of the command's speed."""
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,10 @@ from small_recordings import record, write_rig
 
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, is_steady
 from eps_tunnel_analysis.diagnose.base_values import base_refit
+from eps_tunnel_analysis.diagnose.evidence import Evidence
+from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.inputs import load_recorded
+from eps_tunnel_analysis.stamped import Series
 from labyrinth_sim.model import load_model, save_model
 from labyrinth_sim.trials import Array
 
@@ -36,13 +39,31 @@ def test_a_drive_that_is_off_is_not_steady() -> None:
     assert not is_steady(off, 0.01)[TIME > 2.0].any()
 
 
-def test_the_efforts_of_smooth_moves_tell_the_mass(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def search(tmp_path_factory: pytest.TempPathFactory) -> Search:
+    """Of the base values of a sledge whose mass and drive are stated wrongly."""
+    tmp_path = tmp_path_factory.mktemp("sledge")
     model = load_model(write_rig(tmp_path, slides=True))
     bag = record(model, tmp_path / "bag", moves=lambda time: 0.1 - 0.1 * np.cos(np.pi * time))
     heavier = save_model(model.with_values({"body.sledge.mass": 2.3, "drive.a.stiffness": 66.0}), tmp_path / "off.yaml")
     recorded = load_recorded(heavier, [bag], efforts=True)
     (part,) = axis_parts(recorded.model, recorded.plays)
-    search = axis_search(recorded.model, recorded.plays, part, SearchOptions(only=(), nthread=1))
+    return axis_search(recorded.model, recorded.plays, part, SearchOptions(only=(), nthread=1))
+
+
+def test_the_efforts_of_smooth_moves_tell_the_mass(search: Search) -> None:
     found = search.library.base_of(base_refit(search).values)
     assert found["body.sledge.mass"] == pytest.approx(2.0, rel=0.02)
     assert found["drive.a.stiffness"] == pytest.approx(60.0, rel=0.02)
+
+
+def test_half_steps_have_commands_of_their_own_where_these_change_within_a_step(search: Search) -> None:
+    held = search.levels["fine"]
+    (play,) = held.plays
+    sent = play.trials[0].commands["arm"]
+    often = np.arange(0.0, sent.time[-1], 0.002)
+    faster = replace(play.trials[0], commands={"arm": Series(often, np.interp(often, sent.time, sent.values))})
+    plays = [replace(play, trials=(faster,))]
+    (halves,) = Evidence(held.model, held.free, plays, held.signals, held.step(0), extrapolate=True)._halves
+    assert halves is not None and halves.shape == (1, 2 * held.count(0), 1)
+    assert held._halves == [None]

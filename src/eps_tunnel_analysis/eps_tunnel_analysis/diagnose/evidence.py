@@ -19,7 +19,7 @@ from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import Residuals, copied
 from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.simulated import axes_at_rest, first_pose, known_values
-from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
+from eps_tunnel_analysis.stamped import CYCLE, Readings, StampedTrial, aligned, readings, setpoints
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import simulate_batch
@@ -198,9 +198,16 @@ class Evidence:
         return [self._setpoints(play, 1) for play in range(len(self.plays))]
 
     @cached_property
-    def _halves(self) -> list[Array]:
-        """For each play (2K, u) rad, the setpoint during each half of a step of its grid."""
-        return [self._setpoints(play, 2) for play in range(len(self.plays))]
+    def _halves(self) -> list[Array | None]:
+        """For each play (1, 2K, u) rad, the setpoint during each half of a step of its grid; None where a command is
+        held for longer than a step anyway, or nothing is extrapolated.
+        """
+        found: list[Array | None] = []
+        for i, play in enumerate(self.plays):
+            every = min((c.interval for trial in play.trials for c in trial.commands.values()), default=np.inf)
+            often = every < max((1.0 - LONGER) * self.step(i), CYCLE)
+            found.append(self._setpoints(i, 2)[None] if often and self.extrapolate else None)
+        return found
 
     def _setpoints(self, play: int, parts: int) -> Array:
         """(K * parts, u) rad, the setpoint during each part of a step of a play's grid."""
@@ -249,7 +256,7 @@ class Evidence:
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
                 extrapolate=self.extrapolate, means=True,
-                halves=self._halves[number][None] if self.extrapolate else None,
+                halves=self._halves[number],
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]
