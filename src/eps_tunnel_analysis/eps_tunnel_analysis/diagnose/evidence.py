@@ -255,8 +255,7 @@ class Evidence:
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
-                extrapolate=self.extrapolate, means=True,
-                halves=self._halves[number],
+                extrapolate=self.extrapolate, means=True, halves=self._halves[number],
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]
