@@ -143,7 +143,7 @@ def test_other_base_values_are_tried_where_those_of_a_fitted_model_leave_too_muc
 def test_what_leads_is_said_long_before_the_end(unbalanced: tuple[Play, Diagnosis]) -> None:
     leading = [made for what, made, _ in SAID if what == "axis x, gravity_load.x so far"]
     assert SAID[0][0] == "axis x"
-    assert 0 < int(str(leading[0])) < 0.8 * unbalanced[1].verdict.evaluations
+    assert 0 < int(str(leading[0])) < 0.7 * unbalanced[1].verdict.evaluations
 
 
 def test_what_is_said_of_an_axis_fits_together(unbalanced: tuple[Play, Diagnosis]) -> None:

@@ -3,7 +3,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -374,24 +373,16 @@ def test_the_form_of_an_effect_counts_for_what_that_effect_explains() -> None:
     assert shares[("delay.x", "friction.x")] == pytest.approx(0.4), "beside the delay it explains 40, alone 10"
 
 
-def test_what_a_form_may_leave_of_a_single_trial_a_rival_of_a_single_form_may_not() -> None:
-    exact = {"torque.x": True, "load.x": False, "play.x": False}
-    found = {name: SimpleNamespace(effect=SimpleNamespace(exact=is_exact)) for name, is_exact in exact.items()}
-    library = SimpleNamespace(find=found.__getitem__)
-    search: Any = SimpleNamespace(library=library, signal=np.zeros(SAMPLES, dtype=np.int64))
+def test_more_is_sought_beyond_the_noise_and_of_a_single_trial_beyond_twice_that() -> None:
+    search: Any = SimpleNamespace(signal=np.zeros(SAMPLES, dtype=np.int64))
 
-    def refit(names: tuple[str, ...], cost: float) -> Refit:
-        return Refit(names, np.zeros(1), np.full(SAMPLES, np.sqrt(cost)), cost, 3, True)
+    def lacks(cost: float, floor: bool) -> bool:
+        best = Refit(("load.x",), np.zeros(1), np.full(SAMPLES, np.sqrt(cost)), cost, 3, True)
+        return lacks_more(search, best, floor=floor)
 
-    base, load = refit((), 171.0), refit(("load.x",), 5.0)
-    lacks = partial(lacks_more, search, base, floor=False)
-    assert not lacks(load, [load])
-    assert lacks(load, [load, refit(("torque.x",), 5.2)])
-    assert not lacks(load, [load, refit(("torque.x",), 9.0)]), "what fits worse says nothing"
-    assert not lacks(refit(("load.x", "play.x"), 5.0), [refit(("torque.x",), 5.2)]), "one of fewer"
-    assert lacks_more(search, base, load, [load]), "with a known floor, more may take the rest to the noise"
-    noise = refit(("load.x",), 1.1)
-    assert not lacks_more(search, base, noise, [noise, refit(("torque.x",), 1.4)]), "nor does a worse rival matter then"
+    close = SETTINGS.close * SETTINGS.healthy
+    assert [lacks(times * close, True) for times in (0.9, 1.1, 1.9, 2.1)] == [False, True, True, True]
+    assert [lacks(times * close, False) for times in (0.9, 1.1, 1.9, 2.1)] == [False, False, False, True]
 
 
 def test_an_effect_that_fits_better_with_the_values_of_a_pair_starts_again_there() -> None:

@@ -54,8 +54,8 @@ NEAR_COMPLETE = 2.0  # times what counts as nothing missing; what leaves less is
 SETTLED_ROUNDS = 12  # at most, of the sets near the best, in the end
 SOFTENED = 3  # best sets that are tried with friction of the model that sets in gradually
 
-Lacking = Callable[[Refit, Refit, Sequence[Refit]], bool]
-"""Whether, beside a base, the best of some refits leaves so much that more may be missing."""
+Lacking = Callable[[Refit], bool]
+"""Whether the best refit leaves so much that more may be missing."""
 
 
 def refitted_sets(
@@ -92,11 +92,11 @@ def refitted_sets(
         refits = best_by_set([*refits, *rival_refits(search, best, refits)])
     base, refits = started_again(search, *refined(search, base, refits), allowed)
     best = lowest([base, *refits])
-    lacking = partial(lacks_more, search, healthy=healthy, level=level, floor=floor)
+    lacking = partial(lacks_more, search, healthy=healthy, floor=floor)
     seek = partial(refitted_sets, search, healthy=healthy, level=level, floor=floor, most=most)
     again = partial(_sought_again, sought, lacking=lacking, seek=seek)
     grown = partial(_grown, search, lacking=lacking, replaced=replaced, allowed=allowed, most=most)
-    if lacking(base, best, refits):
+    if lacking(best):
         fitted = {r.effects: r for r in (base, best)}.values()
         ticks = tick_refits(
             search, [*fitted, *_beginnings(search, base, best, refits, allowed)], allowed, _given_up(search, best)
@@ -105,7 +105,7 @@ def refitted_sets(
         more = [*ticks, *(event_refits(search, [*fitted], allowed) if show else [])]
         refits = best_by_set([*refits, *more])
         best = lowest([best, *more])
-    if floor and lacking(base, best, refits) and not _helps(search, base, best):
+    if floor and lacking(best) and not _helps(search, base, best):
         return again(base, refits) or (base, refits)  # nothing explains what is missing, so that nothing beside it does
     tried = _calls_for_more(base, refits, lacking)
     base, refits = nested_refits(search, base, grown(base, refits) if tried else refits)
@@ -129,7 +129,7 @@ def refitted_sets(
 def _calls_for_more(base: Refit, refits: Sequence[Refit], lacking: Lacking) -> bool:
     """Whether the best of some refits explains enough to continue from, and leaves something."""
     best = lowest([base, *refits])
-    return explains(base, best) and lacking(base, best, refits)
+    return explains(base, best) and lacking(best)
 
 
 def _grown(
@@ -157,7 +157,7 @@ def _grown(
         refits = best_by_set([*refits, *more])
         best = lowest([base, *refits])
         search.leading = best.effects
-        if not (_leads_on(search, base, on, best, refits) and lacking(base, best, refits)):
+        if not (_leads_on(search, base, on, best, refits) and lacking(best)):
             break
     return refits
 
@@ -175,7 +175,7 @@ def _sought_again(
         seek: `refitted_sets` from a base, as it was called.
     """
     best = lowest([base, *refits])
-    if not explains(sought, base) or explains(base, best) or not lacking(base, best, refits):
+    if not explains(sought, base) or explains(base, best) or not lacking(best):
         return None
     base, more = seek(base)
     return base, best_by_set([*refits, *more])
@@ -275,7 +275,10 @@ def next_refits(
     tried = search.trial_points(points, search.library.candidates)
     if not more and (not tried or tried[0].promised > on[0].cost - 0.5 * SETTINGS.material):
         return []
-    return _rebased(search, search.best_of([*_jobs(search, points, tried, shortlist), *more], ROUNDS))
+    found = search.best_of([*_jobs(search, points, tried, shortlist), *more], ROUNDS)
+    if found and explains(on[0], found[0]):
+        search.leading = found[0].effects
+    return _rebased(search, found)
 
 
 def stated_jobs(search: Search, base: Refit) -> list[Job]:
@@ -429,26 +432,13 @@ def _runners_up(best: Refit, refits: Sequence[Refit]) -> list[Refit]:
     return sorted(near, key=lambda r: (r.cost, r.effects))[:RUNNERS_UP]
 
 
-def lacks_more(
-    search: Search, base: Refit, best: Refit, refits: Sequence[Refit], healthy: float = SETTINGS.healthy,
-    level: float = 0.0, floor: bool = True,
-) -> bool:  # fmt: skip
-    """Whether the best of some refits leaves so much that more may be missing.
+def lacks_more(search: Search, best: Refit, healthy: float = SETTINGS.healthy, floor: bool = True) -> bool:
+    """Whether the best refit leaves so much that more may be missing.
 
     What an effect leaves for its form no further one takes to the noise, which only a search shows. Without repeated
-    trials, only a misfit far beyond the sensors' noise and beyond what forms may leave counts; of a rival that fits as
-    well, too, whose form may leave less.
+    trials, only a misfit far beyond the sensors' noise counts.
     """
-    if floor:
-        return not complete(search, best, healthy)
-    before = worst_floors(base.residuals, search.signal)
-
-    def allowed(refit: Refit) -> float:
-        own = kept_of(inexact_share(search, base, refit, refits))
-        return SETTINGS.unrepeated * float(with_form(own, before, level, healthy))
-
-    rivals = [r for r in refits if len(r.effects) >= len(best.effects) and r.cost < best.cost + SETTINGS.material]
-    return any(not complete(search, r, allowed(r)) for r in (best, *rivals))
+    return not complete(search, best, healthy if floor else SETTINGS.unrepeated * healthy)
 
 
 def inexact_share(search: Search, base: Refit, refit: Refit, refits: Sequence[Refit]) -> float:

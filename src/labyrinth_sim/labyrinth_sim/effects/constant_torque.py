@@ -17,7 +17,9 @@ EFFECT = Effect(
     "amplifier, a gas spring.",
     equation="torque = T",
     parameters=(
-        Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign"),
+        Parameter(
+            "torque", "N m", -3.0, 3.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign", span=2.0
+        ),
     ),
     stage="mjcf",
     mark="The axis settles to one side of every target by the same angle, whichever way it came.",

@@ -24,7 +24,9 @@ EFFECT = Effect(
     physics="A torque of constant size opposes motion and holds the axis still when less than it acts.",
     equation="torque = -F sign(speed); at rest |torque| <= F; -F tanh(speed / v_c) if it sets in gradually",
     parameters=(
-        Parameter("torque", "N m", 0.0, 1.0, 0.0, 0.2, "0 to a third of the stall torque of a servo of this class"),
+        Parameter(
+            "torque", "N m", 0.0, 3.0, 0.0, 0.2, "0 to a third of what a drive of 10 N m gives at most", span=1.0
+        ),
         SLOW,
     ),
     stage="mjcf",

@@ -31,7 +31,9 @@ EFFECT = Effect(
     equation="F = T for speed > 0 and 0 for speed < 0 if T > 0; the other way round if T < 0; "
     "T tanh(|speed| / v_c) if it sets in gradually",
     parameters=(
-        Parameter("torque", "N m", -1.0, 1.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign"),
+        Parameter(
+            "torque", "N m", -3.0, 3.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign", span=2.0
+        ),
         SLOW,
     ),
     stage="mjcf",

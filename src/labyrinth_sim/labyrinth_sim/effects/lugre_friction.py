@@ -38,7 +38,9 @@ EFFECT = Effect(
     "a small angle after each reversal and lets the axis creep where it should stick.",
     equation="dz/dt = speed - |speed| z / z_s, z_s = b (1 + e exp(-(speed / v_s)^2)); torque = -F/b (z + 1 ms dz/dt)",
     parameters=(
-        Parameter("torque", "N m", 0.0, 1.0, 0.0, 0.2, "0 to a third of the stall torque of a servo of this class"),
+        Parameter(
+            "torque", "N m", 0.0, 3.0, 0.0, 0.2, "0 to a third of what a drive of 10 N m gives at most", span=1.0
+        ),
         Parameter(
             "bend", "rad", 1e-4, 0.5, None, 0.01, "angle over which friction builds up; gears take degrees, hoses more"
         ),

@@ -20,7 +20,7 @@ EFFECT = Effect(
     physics="Breaking loose takes more torque than keeping on moving: friction falls as a film of grease builds up.",
     equation="F = F_s exp(-(speed / v_s)^2) on top of Coulomb friction; torque = -F sign(speed)",
     parameters=(
-        Parameter("extra", "N m", 0.0, 1.0, 0.0, 0.2, "at most as large as Coulomb friction"),
+        Parameter("extra", "N m", 0.0, 3.0, 0.0, 0.2, "at most as large as Coulomb friction", span=1.0),
         Parameter(
             "speed", "rad/s", 0.01, 20.0, None, 0.1, "0.01 to 1 rad/s for gears as published; far above it is Coulomb's"
         ),
