@@ -9,6 +9,12 @@ import numpy as np
 from labyrinth_sim.effect import Parameter, Values
 from labyrinth_sim.trials import Array
 
+TORQUE = Parameter(
+    "torque", "N m", 0.0, 3.0, 0.0, 0.2, "0 to a third of what a drive of 10 N m gives at most", span=1.0
+)
+EITHER_WAY = Parameter(
+    "torque", "N m", -3.0, 3.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign", span=2.0
+)
 SLOW = Parameter(
     "slow", "rad/s", 0.0, 0.1, None, 0.0, "v_c; faster than that grease would be felt as damping", settled=True
 )

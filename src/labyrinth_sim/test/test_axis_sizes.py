@@ -134,6 +134,8 @@ def test_a_model_of_a_linear_axis_takes_its_values_and_is_searched_about_them(tm
     for name, info in known.items():
         assert info.low <= info.value <= info.high, name
     assert known["coulomb_friction.x.torque"].high == pytest.approx(0.3 * 351.5), "of what the drive gives"
+    dry = model.with_values({"coulomb_friction.x.torque": 60.0}, "paper").parameters()["coulomb_friction.x.torque"]
+    assert dry.high == pytest.approx(3 * 60.0), "of what is stated, where that is more"
     richer = model.with_effect("direction_viscous_friction", "x").with_effect("constant_torque", "x", {"torque": -3.16})
     assert richer.parameters()["direction_viscous_friction.x.damping"].unit == "N s/m"
     assert abs(richer.values()["direction_viscous_friction.x.damping"]) > 100.0

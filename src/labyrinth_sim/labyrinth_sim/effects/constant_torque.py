@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A constant torque, by MuJoCo's applied force."""
 
-from labyrinth_sim.effect import Effect, Parameter, Values
+from labyrinth_sim.effect import Effect, Values
+from labyrinth_sim.friction import EITHER_WAY
 from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
 
@@ -16,11 +17,7 @@ EFFECT = Effect(
     physics="Something pulls with the same torque at any angle and speed: a weight on a drum, the offset of an "
     "amplifier, a gas spring.",
     equation="torque = T",
-    parameters=(
-        Parameter(
-            "torque", "N m", -3.0, 3.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign", span=2.0
-        ),
-    ),
+    parameters=(EITHER_WAY,),
     stage="mjcf",
     mark="The axis settles to one side of every target by the same angle, whichever way it came.",
     shows="offset",

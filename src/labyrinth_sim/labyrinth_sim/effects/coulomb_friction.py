@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coulomb friction: MuJoCo's frictionloss where it is sharp, joint damping rewritten before every step where not."""
 
-from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.friction import SLOW, gradual_damping, sharp
+from labyrinth_sim.effect import Effect, Values
+from labyrinth_sim.friction import SLOW, TORQUE, gradual_damping, sharp
 from labyrinth_sim.law import law, state
 from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
@@ -24,9 +24,7 @@ EFFECT = Effect(
     physics="A torque of constant size opposes motion and holds the axis still when less than it acts.",
     equation="torque = -F sign(speed); at rest |torque| <= F; -F tanh(speed / v_c) if it sets in gradually",
     parameters=(
-        Parameter(
-            "torque", "N m", 0.0, 3.0, 0.0, 0.2, "0 to a third of what a drive of 10 N m gives at most", span=1.0
-        ),
+        TORQUE,
         SLOW,
     ),
     stage="mjcf",

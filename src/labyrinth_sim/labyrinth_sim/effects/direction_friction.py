@@ -4,8 +4,8 @@ sharp, joint damping rewritten before every step where not."""
 
 import numpy as np
 
-from labyrinth_sim.effect import Effect, Parameter, Values
-from labyrinth_sim.friction import SLOW, gradual_damping, sharp
+from labyrinth_sim.effect import Effect, Values
+from labyrinth_sim.friction import EITHER_WAY, SLOW, gradual_damping, sharp
 from labyrinth_sim.law import law, state
 from labyrinth_sim.live import Fields
 from labyrinth_sim.site import Site
@@ -31,9 +31,7 @@ EFFECT = Effect(
     equation="F = T for speed > 0 and 0 for speed < 0 if T > 0; the other way round if T < 0; "
     "T tanh(|speed| / v_c) if it sets in gradually",
     parameters=(
-        Parameter(
-            "torque", "N m", -3.0, 3.0, 0.0, 0.2, "at most as large as Coulomb friction, of either sign", span=2.0
-        ),
+        EITHER_WAY,
         SLOW,
     ),
     stage="mjcf",

@@ -5,6 +5,7 @@ damping."""
 import math
 
 from labyrinth_sim.effect import Effect, Parameter
+from labyrinth_sim.friction import TORQUE
 from labyrinth_sim.law import law, state
 
 BRISTLE_TIME = 1e-3  # s, damping over stiffness of the bristles
@@ -38,9 +39,7 @@ EFFECT = Effect(
     "a small angle after each reversal and lets the axis creep where it should stick.",
     equation="dz/dt = speed - |speed| z / z_s, z_s = b (1 + e exp(-(speed / v_s)^2)); torque = -F/b (z + 1 ms dz/dt)",
     parameters=(
-        Parameter(
-            "torque", "N m", 0.0, 3.0, 0.0, 0.2, "0 to a third of what a drive of 10 N m gives at most", span=1.0
-        ),
+        TORQUE,
         Parameter(
             "bend", "rad", 1e-4, 0.5, None, 0.01, "angle over which friction builds up; gears take degrees, hoses more"
         ),
