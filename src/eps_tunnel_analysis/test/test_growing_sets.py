@@ -49,6 +49,7 @@ def told(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> None:
     """Each function of the search answers as given; others find nothing and change nothing."""
     nothing = {
         "stated_jobs": lambda *_: [],
+        "far_along_valley": lambda *_: [],
         "better_base": lambda _, base, *__: base,
         "begun": lambda *_: [],
         "tick_refits": lambda *_: [],
@@ -217,6 +218,25 @@ def test_where_nothing_explains_what_is_missing_nothing_is_tried_beside_it(
     rested.clear()
     refitted_sets(search, found(10.0), floor=False)
     assert rested, "of single trials, what explains a little may be all"
+
+
+@pytest.mark.parametrize(("cost", "looked"), [(1.1, False), (1.5, True), (9.0, False)])
+def test_a_set_that_leaves_little_more_than_noise_is_tried_far_along_its_valley_before_more_is_added(
+    search: Search, found: Found, monkeypatch: pytest.MonkeyPatch, cost: float, looked: bool
+) -> None:
+    grown: list[tuple[str, ...]] = []
+    far: list[tuple[str, ...]] = []
+
+    def far_along_valley(_: Search, refit: Refit) -> list[Refit]:
+        far.append(refit.effects)
+        return [found(0.8, FRICTION)]
+
+    told(monkeypatch, next_refits=growing(grown, {(): [found(cost, FRICTION)]}), far_along_valley=far_along_valley,
+         event_refits=lambda *_: [])  # fmt: skip
+    _, refits = refitted_sets(search, found(100.0))
+    assert far == ([(FRICTION,)] if looked else [])
+    assert grown == ([(), (FRICTION,)] if cost == 9.0 else [()])
+    assert refits[0].cost == (0.8 if looked else cost)
 
 
 def test_what_a_change_promises_is_what_its_best_share_leaves() -> None:

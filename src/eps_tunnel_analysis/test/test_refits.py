@@ -302,30 +302,34 @@ def test_in_the_end_values_make_up_for_the_steps_that_the_model_makes(search: Se
     assert not search.levels["own"].extrapolate
 
 
-def test_values_of_another_valley_count_where_it_fits_as_well(
-    recorded: list[Play], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("gain", "nearest_first"), [(0.05, True), (0.15, False)])
+def test_of_valleys_that_steps_cannot_tell_apart_the_nearest_counts_and_all_are_in_the_interval(
+    recorded: list[Play], monkeypatch: pytest.MonkeyPatch, gain: float, nearest_first: bool
 ) -> None:
     model = start().with_values(TRUTH)
     search = part_search(model, recorded)
     here = search.judged([((), search.start)], 8)[0]
     p, delay = (search.library.names.index(f"drive.x.{name}") for name in ("p", "delay"))
 
-    def elsewhere(column: int, by: float, times: float) -> Refit:
+    def elsewhere(column: int, by: float, more: float) -> Refit:
         values = here.values.copy()
         values[column] += by
-        return replace(here, values=values, cost=times * here.cost, held=0.0)
+        return replace(here, values=values, cost=here.objective + more, held=0.0)
 
-    lower, worse = elsewhere(p, 3.0, 1.0 - 1e-4), elsewhere(delay, 0.015, 3.0)
+    lower, beside, worse = elsewhere(p, 3.0, -gain), elsewhere(delay, -0.005, 0.04), elsewhere(delay, 0.015, 1.0)
     monkeypatch.setattr(search, "as_run", lambda _: here)
-    monkeypatch.setattr(search, "refit", lambda *_, **__: [worse, lower])
+    monkeypatch.setattr(search, "refit", lambda *_, **__: [worse, beside, lower])
     monkeypatch.setattr(intervals_module, "_half_widths", lambda _, refit, columns: np.full(len(columns), 1e-4))
-    assert search.valleys(here) == (lower, here, worse)
+    monkeypatch.setattr(intervals_module, "chance", lambda *_: 0.0)
+    first, second = (here, lower) if nearest_first else (lower, here)
+    assert search.valleys(here) == (first, second, beside, worse)
     axis = cast(AxisDiagnosis, SimpleNamespace(search=search, part=search, acting=lambda _: here))
     final = with_refits(model, [axis], (), final=True)
-    assert final.values()["drive.x.p"] == pytest.approx(lower.values[p])
+    assert final.values()["drive.x.p"] == pytest.approx(first.values[p])
     found = named_intervals([axis], (), final)
-    assert found["drive.x.p"][0] < here.values[p] and lower.values[p] < found["drive.x.p"][1]
-    assert found["drive.x.p"][1] < lower.values[p] + 0.1
+    assert found["drive.x.p"][1] == pytest.approx(lower.values[p], abs=0.1) and found["drive.x.p"][1] > lower.values[p]
+    assert (found["drive.x.p"][0] < here.values[p]) == nearest_first
+    assert (found["drive.x.delay"][0] < beside.values[delay]) == nearest_first
     assert found["drive.x.delay"][1] < worse.values[delay] - 0.01
 
 
@@ -335,7 +339,7 @@ def test_other_valleys_are_looked_for_far_away_within_the_bounds(recorded: list[
     found = search.valleys(here)
     assert len(found) == 5 and search.valleys(here) is found
     assert all((search.low <= r.values).all() and (r.values <= search.high).all() for r in found)
-    assert sorted(r.objective for r in found) == [r.objective for r in found]
+    assert sorted(r.objective for r in found[1:]) == [r.objective for r in found[1:]]
 
 
 def test_a_value_that_moves_nothing_may_be_anything(recorded: list[Play], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,18 +2,21 @@
 """Where efforts are compared: not beside sudden changes of the command's speed."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from small_recordings import record, write_rig
 
+from eps_tunnel_analysis.diagnose import evidence as evidence_module
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, is_steady
 from eps_tunnel_analysis.diagnose.base_values import base_refit
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.inputs import load_recorded
 from eps_tunnel_analysis.stamped import Series
-from labyrinth_sim.model import load_model, save_model
+from labyrinth_sim.model import Model, load_model, save_model
+from labyrinth_sim.simulate import BatchResult, simulate_batch
 from labyrinth_sim.trials import Array
 
 TIME = np.arange(400) * 0.01  # s
@@ -57,13 +60,25 @@ def test_the_efforts_of_smooth_moves_tell_the_mass(search: Search) -> None:
     assert found["drive.a.stiffness"] == pytest.approx(60.0, rel=0.02)
 
 
-def test_half_steps_have_commands_of_their_own_where_these_change_within_a_step(search: Search) -> None:
+def test_torques_are_extrapolated_only_where_commands_change_within_a_step(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
     held = search.levels["fine"]
     (play,) = held.plays
     sent = play.trials[0].commands["arm"]
     often = np.arange(0.0, sent.time[-1], 0.002)
     faster = replace(play.trials[0], commands={"arm": Series(often, np.interp(often, sent.time, sent.values))})
     plays = [replace(play, trials=(faster,))]
-    (halves,) = Evidence(held.model, held.free, plays, held.signals, held.step(0), extrapolate=True)._halves
-    assert halves is not None and halves.shape == (1, 2 * held.count(0), 1)
-    assert held._halves == [None]
+    asked: list[tuple[tuple[str, ...], tuple[int, ...]]] = []
+
+    def simulated(model: Model, *arguments: Any, **options: Any) -> BatchResult:
+        asked.append((options["extrapolate"], arguments[3].shape))
+        return simulate_batch(model, *arguments, **options)
+
+    monkeypatch.setattr(evidence_module, "simulate_batch", simulated)
+    for recorded, extrapolate in ((held.plays, True), (plays, True), (plays, False)):
+        evidence = Evidence(held.model, held.free, recorded, held.signals, held.step(0), extrapolate=extrapolate)
+        evidence(search.start)
+    longer, shorter = held.count(0), 2 * held.count(0) - 1
+    motion = ("position", "velocity")
+    assert asked == [(motion, (1, shorter, 1)), ((*motion, "torque"), (1, shorter, 1)), ((), (1, longer, 1))]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roll-outs: parameter sets times commands, all at once."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labyrinth_sim.build import Placed, Plan, compiled, local_values
 from labyrinth_sim.effect import Filter, Values
-from labyrinth_sim.engine import Engine
+from labyrinth_sim.engine import RECORDED, Engine
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.filters import Chain, Map
 from labyrinth_sim.first_state import first_state
@@ -117,9 +117,8 @@ def simulate_batch(
     timestep: float | None = None,
     nthread: int = 0,
     progress: Callable[[int], None] | None = None,
-    extrapolate: bool = False,
+    extrapolate: Collection[str] = (),
     means: bool = False,
-    halves: ArrayLike | None = None,
 ) -> BatchResult:
     """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
 
@@ -138,11 +137,10 @@ def simulate_batch(
         timestep: s, MuJoCo's own step; rounded so that samples are whole numbers of steps.
         nthread: 0 for one per CPU.
         progress: called with the number of finished simulations.
-        extrapolate: also step half as far, and extrapolate the motion to steps of no length (Richardson 1911): what
-            MuJoCo's steps get wrong is of first order.
+        extrapolate: quantities ("position", "velocity", "torque") that are extrapolated to steps of no length, from
+            these steps and others twice as long (Richardson 1911): what MuJoCo's steps get wrong is of first order.
+            Not so the torque under a command that is held, which jumps with it.
         means: the commands are means over each sample, of commands that may change within it.
-        halves: (c, 2T, u) rad, such means over half samples, for the steps half as long. Without them these are held
-            at the mean of a whole sample, and efforts miss by what the command goes in half a step.
 
     Raises:
         InputError: everything that is wrong with the arguments.
@@ -150,19 +148,20 @@ def simulate_batch(
     grid, block = np.asarray(time, float), np.asarray(commands, float)
     table = np.atleast_2d(np.asarray(values, float))
     ball = with_ball if with_ball is not None else bool(initial) and any(s in (initial or {}) for s in BALL_SIGNALS)
-    finer = None if halves is None else np.asarray(halves, float)
-    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep, finer)
+    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep, extrapolate)
     n, c = len(table), len(block)
     step = float((grid[-1] - grid[0]) / (len(grid) - 1))
     even = even_timestep(step, timestep, model, ball)
-    plans = [compiled(model, ball, even / parts) for parts in ((1, 2) if extrapolate else (1,))]
+    asked = [(1, block), (2, _in_pairs(block))] if extrapolate else [(1, block)]  # samples of each step, and commands
+    plans = [compiled(model, ball, even * longer) for longer, _ in asked]
     plan = plans[0]
-    asked = [(step, block), (step, block) if finer is None else (step / 2.0, finer)][: len(plans)]
     every = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if ball else ())
     unseen = [unknown_name("simulated signal", name, every) for name in signals or () if name not in every]
     if unseen:
         raise InputError(unseen)
     columns = [every.index(name) for name in (every if signals is None else signals)]
+    quantities = [m.quantity for m in model.rig.measured] + ["position" for _ in (BALL_SIGNALS if ball else ())]
+    smooth = np.flatnonzero([quantity in extrapolate for quantity in quantities])
     out = np.empty((n * c, len(grid), len(columns)))
     messages: dict[tuple[int, int], str] = {}
     steps = done = 0
@@ -183,19 +182,22 @@ def simulate_batch(
         owner = plays[which[alone]]
         start = {name: given[alone] for name, given in first.items()}
         engines, rolled = [], []
-        for each, (apart, given) in zip(here, asked, strict=True):
-            engine = Engine(model, each, own, len(alone), apart, nthread)
-            motion = _roll_out(model, each, engine, own, apart, given[owner], start, holds[owner], means)
+        for each, (longer, given) in zip(here, asked, strict=True):
+            engine = Engine(model, each, own, len(alone), longer * step, nthread)
+            mean = means or longer > 1
+            motion = _roll_out(model, each, engine, own, longer * step, given[owner], start, holds[owner], mean)
+            steps += len(alone) * engine.substeps * (given.shape[1] - 1)
             engines.append(engine)
-            rolled.append(motion[:, :: round(step / apart)])
-        raw = (2.0 * rolled[1] - rolled[0] if extrapolate else rolled[0])[shared]
+            rolled.append(motion)
+        raw = rolled[0][shared]
+        if extrapolate:
+            raw[..., smooth] += _missed(rolled[0][..., smooth], rolled[1][..., smooth])[shared]
         seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
         for engine in engines:
             out[which[engine.failed[shared]]] = np.nan
             texts = [(i, engine.messages[int(k)]) for i, k in zip(which, shared, strict=True) if engine.failed[k]]
             messages |= {(int(sets[i]), int(plays[i])): text for i, text in texts}
-            steps += len(alone) * round(engine.substeps * step / engine.step) * (len(grid) - 1)
         done += len(which)
         if progress:
             progress(done)
@@ -206,6 +208,24 @@ def simulate_batch(
     answers.setflags(write=False)
     chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
     return BatchResult(chosen, units, answers, failed, messages, steps)
+
+
+def _in_pairs(commands: Array) -> Array:
+    """(c, K, u) means of (c, T, u) over two samples each, the last of which may be alone; of what is switched off
+    within, of the other.
+    """
+    first, last = commands[:, ::2], commands[:, 1::2]
+    last = np.concatenate([last, first[:, last.shape[1] :]], axis=1)
+    first, last = np.where(np.isnan(first), last, first), np.where(np.isnan(last), first, last)
+    return np.asarray((first + last) / 2.0)
+
+
+def _missed(short: Array, long: Array) -> Array:
+    """(n, T, m) what steps of no length add to samples (n, T, m), from those of steps twice as long (n, K, m)."""
+    off = short[:, ::2] - long
+    missed = np.repeat(off, 2, axis=1)[:, : short.shape[1]]
+    missed[:, 1:-1:2] = (off[:, :-1] + off[:, 1:])[:, : missed[:, 1:-1:2].shape[1]] / 2.0
+    return missed
 
 
 def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int, chunk: int) -> Iterator[NDArray[np.int64]]:
@@ -283,7 +303,7 @@ def _check(
     resting: ArrayLike | None,
     ball: bool,
     timestep: float | None,
-    finer: Array | None,
+    extrapolate: Collection[str],
 ) -> None:
     known = model.parameters()
     complaints = [unknown_name("parameter", n, known) for n in (*names, *(per_command or {})) if n not in known]
@@ -313,14 +333,13 @@ def _check(
             f"commands must have shape (c, {len(grid)}, {u}) for {', '.join(model.rig.command_channels)}, "
             f"got {block.shape}."
         )
-    elif finer is not None and finer.shape != (len(block), 2 * len(grid), u):
-        complaints.append(f"halves must have shape ({len(block)}, {2 * len(grid)}, {u}), got {finer.shape}.")
     if np.isinf(block).any():
         complaints.append("commands must be finite, or NaN where the drive is off.")
     valid = model.rig.signals
     complaints += [unknown_name("signal", name, valid) for name in (initial or {}) if name not in valid]
     if ball and not model.rig.ball:
         complaints.append(f"Rig '{model.rig.name}' has no ball.")
+    complaints += [unknown_name("quantity", name, RECORDED) for name in extrapolate if name not in RECORDED]
     if timestep is not None and not 1e-5 <= timestep <= 0.1:
         complaints.append(f"timestep must lie within [1e-05, 0.1] s, got {timestep:g}.")
     if complaints:

@@ -167,16 +167,16 @@ class Evidence:
 
     def count(self, play: int) -> int:
         """Points of a play's simulation grid."""
-        return int(np.ceil(self.plays[play].seconds / self._steps[play] - 1e-9)) + 1
+        return int(np.ceil(self.plays[play].seconds / self.step(play) - 1e-9)) + 1
 
     def step(self, play: int) -> float:
         """s between the points of a play's simulation grid."""
-        return self._steps[play]
+        return self._steps[play] / (2.0 if self.extrapolate else 1.0)
 
     @property
     def shortest(self) -> float:
         """s, the shortest step of all plays."""
-        return min(self._steps) / (2.0 if self.extrapolate else 1.0)
+        return min(self.step(play) for play in range(len(self.plays)))
 
     def times(self, play: int) -> Array:
         """(K,) s, a play's simulation grid."""
@@ -195,24 +195,22 @@ class Evidence:
     @cached_property
     def commands(self) -> list[Array]:
         """For each play (K, u) rad, the setpoint during each step of its grid; NaN where the drive is off."""
-        return [self._setpoints(play, 1) for play in range(len(self.plays))]
+        channels = self.model.rig.command_channels
+        return [
+            np.column_stack([setpoints(p.trials, c, self.step(i), self.count(i)) for c in channels])
+            for i, p in enumerate(self.plays)
+        ]
 
-    @cached_property
-    def _halves(self) -> list[Array | None]:
-        """For each play (1, 2K, u) rad, the setpoint during each half of a step of its grid; None where a command is
-        held for longer than a step anyway, or nothing is extrapolated.
+    def _extrapolated(self, play: int) -> tuple[str, ...]:
+        """Quantities that are extrapolated: not torques under commands that are held for longer than a step, which jump
+        with them.
         """
-        found: list[Array | None] = []
-        for i, play in enumerate(self.plays):
-            every = min((c.interval for trial in play.trials for c in trial.commands.values()), default=np.inf)
-            often = every < max((1.0 - LONGER) * self.step(i), CYCLE)
-            found.append(self._setpoints(i, 2)[None] if often and self.extrapolate else None)
-        return found
-
-    def _setpoints(self, play: int, parts: int) -> Array:
-        """(K * parts, u) rad, the setpoint during each part of a step of a play's grid."""
-        trials, step, count = self.plays[play].trials, self.step(play) / parts, self.count(play) * parts
-        return np.column_stack([setpoints(trials, c, step, count) for c in self.model.rig.command_channels])
+        if not self.extrapolate:
+            return ()
+        trials = self.plays[play].trials
+        every = min((c.interval for trial in trials for c in trial.commands.values()), default=np.inf)
+        often = every < max((1.0 - LONGER) * self._steps[play], CYCLE)
+        return ("position", "velocity", "torque") if often else ("position", "velocity")
 
     @cached_property
     def initial(self) -> list[dict[str, Array]]:
@@ -255,7 +253,7 @@ class Evidence:
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
-                extrapolate=self.extrapolate, means=True, halves=self._halves[number],
+                extrapolate=self._extrapolated(number), means=True,
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]

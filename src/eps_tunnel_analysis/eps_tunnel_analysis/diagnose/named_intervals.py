@@ -4,7 +4,7 @@
 They have the same parts as a calibration's: autocorrelated noise, the pose in which a play starts, and, if more than
 noise is left, the shift from another missing effect. They also include the step that the slopes still promise, because
 a search ends when it gains little. Slopes say nothing about other valleys of the misfit; a valley whose values fit as
-well within chance is in the interval, too.
+well, within chance and what steps may change, is in the interval, too.
 """
 
 import copy
@@ -17,6 +17,7 @@ from eps_tunnel_analysis.diagnose.base_values import sensed_joints
 from eps_tunnel_analysis.diagnose.discrepancy import shifts_of
 from eps_tunnel_analysis.diagnose.rank import independent
 from eps_tunnel_analysis.diagnose.refits import Refit
+from eps_tunnel_analysis.diagnose.roll_outs import STANDS
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
 from eps_tunnel_analysis.fit.intervals import CHI2_95, intervals, widened
@@ -50,7 +51,7 @@ def named_intervals(
         half = _half_widths(search, best, columns) * search.spans[columns]
         own = [columns.index(i) for name in best.effects for i in search.free_columns(search.library.find(name))]
         half[own] = np.maximum(half[own], profiles(search, best, [columns[i] for i in own]))
-        limit = best.objective + chance(search, best)
+        limit = min(r.objective for r in (best, *others)) + chance(search, best) + STANDS
         alike = [best.values, *(r.values for r in others if r.objective <= limit)]
         lowest, highest = np.min(alike, axis=0)[columns], np.max(alike, axis=0)[columns]
         for column, width, least, most in zip(columns, half, lowest, highest, strict=True):

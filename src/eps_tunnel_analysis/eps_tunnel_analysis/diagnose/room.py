@@ -94,6 +94,11 @@ class Room:
         """How unlikely values (K,) are beside what is stated: minus twice the logarithm of their likelihood."""
         return float(np.sum(strain_of(self.off(values))))
 
+    def distance(self, values: Array) -> float:
+        """How far the base values among values (K,) are from what the model states, together, in their spans."""
+        size = len(self.library.base)
+        return float(np.linalg.norm((values - self.start)[:size] / self.spans[:size]))
+
     def firmness_at(self, values: Array) -> Array:
         """(K,) how firmly values (K,) are held where they are; less firmly far from what is stated."""
         return np.asarray(self.firmness * np.sqrt(weight_of(self.off(values))))

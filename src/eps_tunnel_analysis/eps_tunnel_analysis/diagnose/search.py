@@ -236,7 +236,8 @@ class Search(RollOuts):
         return self.refit([(self.library.of(refit.effects), refit.values)], OWN_ROUNDS, "own")[0]
 
     def valleys(self, refit: Refit) -> tuple[Refit, ...]:
-        """A refit at the model's own steps, and those of the same effects in other valleys of the misfit, best first.
+        """A refit at the model's own steps, and those of the same effects in other valleys of the misfit: first the one
+        nearest to what the model states, of those that fit as well as the best as far as steps can tell; then by fit.
 
         Values that can compensate for one another, such as P, D and delay, may fit as well far from a descent's end.
         """
@@ -244,11 +245,14 @@ class Search(RollOuts):
         if key not in self._valleys:
             refits = [self.as_run(refit)]
             if "own" in self.levels:
-                starts = self._along_weakest(refit) + self.beside_stated([refit], VALLEY_ROUNDS, "own")
+                starts = self.along_weakest(refit) + self.beside_stated([refit], VALLEY_ROUNDS, "own")
                 jobs = [(self.library.of(refit.effects), point) for point in starts]
                 refits += self.refit(jobs, VALLEY_ROUNDS, "own", tolerance=STANDS / VALLEY_ROUNDS,
                                      race=refits[0].objective)  # fmt: skip
-            self._valleys[key] = tuple(sorted(refits, key=lambda r: r.objective))
+            refits.sort(key=lambda r: r.objective)
+            alike = [r for r in refits if r.objective <= refits[0].objective + STANDS]
+            nearest = min(alike, key=lambda r: self.distance(r.values))
+            self._valleys[key] = (nearest, *(r for r in refits if r is not nearest))
         return self._valleys[key]
 
     def weakest(self, refit: Refit) -> tuple[list[int], Array]:
@@ -261,7 +265,7 @@ class Search(RollOuts):
         slopes = self.jacobian(refit)[:, : len(columns)]
         return columns, np.asarray(np.linalg.svd(slopes, full_matrices=False)[2][-1])
 
-    def _along_weakest(self, refit: Refit) -> list[Array]:
+    def along_weakest(self, refit: Refit) -> list[Array]:
         """(K,) values to either side of a refit's along the direction of the drive that it determines least."""
         columns, weakest = self.weakest(refit)
         if not columns:

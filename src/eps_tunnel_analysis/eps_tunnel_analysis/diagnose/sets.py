@@ -91,8 +91,11 @@ def refitted_sets(
         replaced.add(frozenset(best.effects))
         refits = best_by_set([*refits, *rival_refits(search, best, refits)])
     base, refits = started_again(search, *refined(search, base, refits), allowed)
-    best = lowest([base, *refits])
     lacking = partial(lacks_more, search, healthy=healthy, floor=floor)
+    best = lowest([base, *refits])
+    if best.effects and lacking(best) and _nearly_complete(search, best, allowed):
+        base, refits = refined(search, base, best_by_set([*refits, *far_along_valley(search, best)]))
+        best = lowest([base, *refits])
     seek = partial(refitted_sets, search, healthy=healthy, level=level, floor=floor, most=most)
     again = partial(_sought_again, sought, lacking=lacking, seek=seek)
     grown = partial(_grown, search, lacking=lacking, replaced=replaced, allowed=allowed, most=most)
@@ -124,6 +127,14 @@ def refitted_sets(
     base, refits = with_fewer_again(search, base, refits)
     base, refits = settled(search, base, refits)
     return base, refits
+
+
+def far_along_valley(search: Search, refit: Refit) -> list[Refit]:
+    """The best refit of the same effects from far along the direction of the drive that a refit determines least.
+
+    P, D and delay can make up for one another, and what the wrong ones leave would be taken for one more effect.
+    """
+    return search.best_of([(search.library.of(refit.effects), point) for point in search.along_weakest(refit)], ROUNDS)
 
 
 def _calls_for_more(base: Refit, refits: Sequence[Refit], lacking: Lacking) -> bool:
