@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roll-outs: parameter sets times commands, all at once."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labyrinth_sim.build import Placed, Plan, compiled, local_values
 from labyrinth_sim.effect import Filter, Values
-from labyrinth_sim.engine import RECORDED, Engine
+from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.filters import Chain, Map
 from labyrinth_sim.first_state import first_state
@@ -23,6 +23,8 @@ from labyrinth_sim.trials import Array, Trials
 
 CHUNK = 4096  # simulations stepped together, and
 BATCH_BYTES = 2e8  # bytes of what is recorded of them; bound the memory of a large batch
+JUMP = 0.5  # of a target's change from one sample to the next, by which that differs where it jumps
+BESIDE = 2  # samples to either side
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ def simulate_batch(
     timestep: float | None = None,
     nthread: int = 0,
     progress: Callable[[int], None] | None = None,
-    extrapolate: Collection[str] = (),
+    extrapolate: bool = False,
     means: bool = False,
 ) -> BatchResult:
     """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
@@ -137,9 +139,8 @@ def simulate_batch(
         timestep: s, MuJoCo's own step; rounded so that samples are whole numbers of steps.
         nthread: 0 for one per CPU.
         progress: called with the number of finished simulations.
-        extrapolate: quantities ("position", "velocity", "torque") that are extrapolated to steps of no length, from
-            these steps and others twice as long (Richardson 1911): what MuJoCo's steps get wrong is of first order.
-            Not so the torque under a command that is held, which jumps with it.
+        extrapolate: to steps of no length, from these steps and others twice as long (Richardson 1911): what MuJoCo's
+            steps get wrong is of first order. Not so torques beside a jump of a drive's target, which jump with it.
         means: the commands are means over each sample, of commands that may change within it.
 
     Raises:
@@ -148,7 +149,7 @@ def simulate_batch(
     grid, block = np.asarray(time, float), np.asarray(commands, float)
     table = np.atleast_2d(np.asarray(values, float))
     ball = with_ball if with_ball is not None else bool(initial) and any(s in (initial or {}) for s in BALL_SIGNALS)
-    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep, extrapolate)
+    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep)
     n, c = len(table), len(block)
     step = float((grid[-1] - grid[0]) / (len(grid) - 1))
     even = even_timestep(step, timestep, model, ball)
@@ -160,8 +161,7 @@ def simulate_batch(
     if unseen:
         raise InputError(unseen)
     columns = [every.index(name) for name in (every if signals is None else signals)]
-    quantities = [m.quantity for m in model.rig.measured] + ["position" for _ in (BALL_SIGNALS if ball else ())]
-    smooth = np.flatnonzero([quantity in extrapolate for quantity in quantities])
+    torques = [i for i, m in enumerate(model.rig.measured) if m.quantity == "torque" and i in columns]
     out = np.empty((n * c, len(grid), len(columns)))
     messages: dict[tuple[int, int], str] = {}
     steps = done = 0
@@ -181,17 +181,21 @@ def simulate_batch(
         own = {name: given[alone] for name, given in numbers.items()}
         owner = plays[which[alone]]
         start = {name: given[alone] for name, given in first.items()}
-        engines, rolled = [], []
+        engines, rolled, reached = [], [], []
         for each, (longer, given) in zip(here, asked, strict=True):
             engine = Engine(model, each, own, len(alone), longer * step, nthread)
-            mean = means or longer > 1
-            motion = _roll_out(model, each, engine, own, longer * step, given[owner], start, holds[owner], mean)
+            targets = _targets(model, each, engine, own, given[owner], start, holds[owner])
+            reached.append(targets)
+            rolled.append(engine.roll(targets, means or longer > 1))
             steps += len(alone) * engine.substeps * (given.shape[1] - 1)
             engines.append(engine)
-            rolled.append(motion)
-        raw = rolled[0][shared]
+        raw = rolled[0]
         if extrapolate:
-            raw[..., smooth] += _missed(rolled[0][..., smooth], rolled[1][..., smooth])[shared]
+            missed = _missed(*rolled)
+            if torques:
+                missed[..., torques] *= ~_beside_jumps(reached[0])[..., None]
+            raw = raw + missed
+        raw = raw[shared]
         seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
         for engine in engines:
@@ -251,22 +255,37 @@ def _moving_differently(
     return alone, np.ravel(shared)
 
 
-def _roll_out(
+def _targets(
     model: Model,
     plan: Plan,
     engine: Engine,
     numbers: Mapping[str, Array],
-    step: float,
     commands: Array,
     first: Mapping[str, Array],
     resting: NDArray[np.bool_],
-    means: bool,
 ) -> Array:
+    """(nsim, T, u) rad, what the drives are told in the end by commands (nsim, T, u); puts the engine into its first
+    state.
+    """
     qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
     start = rest_targets(plan, qpos, commands[:, 0], resting)
-    filters, reached = command_filters(plan, numbers, step, start, resting)
+    filters, reached = command_filters(plan, numbers, engine.step, start, resting)
     engine.start(qpos, qvel, reached)
-    return engine.roll(through(filters, commands), means)
+    return through(filters, commands)
+
+
+def _beside_jumps(targets: Array) -> NDArray[np.bool_]:
+    """(n, T) whether any of the targets (n, T, u) jumps near a sample: its change is another one than before."""
+    change = np.diff(targets, axis=1)
+    bend = np.abs(np.diff(change, axis=1))
+    even = bend <= JUMP * np.maximum(np.abs(change[:, 1:]), np.abs(change[:, :-1]))
+    jumps = np.zeros(targets.shape[:2], dtype=bool)
+    jumps[:, 1:-1] = ~even.all(axis=2)  # a NaN, where a drive is switched, jumps
+    near = jumps.copy()
+    for by in range(1, BESIDE + 1):
+        near[:, by:] |= jumps[:, :-by]
+        near[:, :-by] |= jumps[:, by:]
+    return near
 
 
 def rest_targets(plan: Plan, qpos: Array, first: Array, resting: NDArray[np.bool_] | bool = False) -> Array:
@@ -303,7 +322,6 @@ def _check(
     resting: ArrayLike | None,
     ball: bool,
     timestep: float | None,
-    extrapolate: Collection[str],
 ) -> None:
     known = model.parameters()
     complaints = [unknown_name("parameter", n, known) for n in (*names, *(per_command or {})) if n not in known]
@@ -339,7 +357,6 @@ def _check(
     complaints += [unknown_name("signal", name, valid) for name in (initial or {}) if name not in valid]
     if ball and not model.rig.ball:
         complaints.append(f"Rig '{model.rig.name}' has no ball.")
-    complaints += [unknown_name("quantity", name, RECORDED) for name in extrapolate if name not in RECORDED]
     if timestep is not None and not 1e-5 <= timestep <= 0.1:
         complaints.append(f"timestep must lie within [1e-05, 0.1] s, got {timestep:g}.")
     if complaints:

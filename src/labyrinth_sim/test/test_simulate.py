@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from labyrinth_sim.simulate import numbers_of, rest_targets, simulate, simulate_
 from labyrinth_sim.stepping import Stepper
 
 TIME = np.arange(151) * 0.01
-EVERYTHING = ("position", "velocity", "torque")
 
 
 @pytest.fixture(scope="module")
@@ -106,21 +104,18 @@ def test_extrapolated_steps_come_nearer_to_steps_of_no_length(model: Model) -> N
     rich = model.with_effect("sensor_quantisation", "motor_x", {"tick": 0.002, "noise": 0.0})
     swing = np.repeat(0.03 * np.sin(3.0 * TIME)[:, None], 2, axis=1)
 
-    def at(step: float, extrapolate: Sequence[str] = ()) -> np.ndarray:
-        seen = simulate_batch(
-            rich, (), np.empty((1, 0)), TIME, swing[None], timestep=step, extrapolate=extrapolate
-        )  # fmt: skip
-        return np.asarray(seen.values[0, 0])
+    def at(step: float, **more: bool) -> np.ndarray:
+        return simulate_batch(rich, (), np.empty((1, 0)), TIME, swing[None], timestep=step, **more).values[0, 0]
 
-    limit, plain = at(0.0003125, EVERYTHING), at(0.00125)
-    extrapolated = at(0.00125, EVERYTHING)
+    limit, plain = at(0.0003125, extrapolate=True), at(0.00125)
+    extrapolated = at(0.00125, extrapolate=True)
     board = rich.rig.signals.index("board_x")
     plain_error, error = (np.sqrt(np.mean((seen - limit)[:, board] ** 2)) for seen in (plain, extrapolated))
     assert error < 0.05 * plain_error
     ticks = extrapolated[:, rich.rig.signals.index("motor_x")] / 0.002
     assert np.allclose(ticks, np.round(ticks), atol=1e-9)  # sensors see what was extrapolated
-    both = simulate_batch(model, ["drive.x.p"], [[8.0], [15.0]], TIME, swing[None], extrapolate=EVERYTHING)
-    first = simulate_batch(model, ["drive.x.p"], [[8.0]], TIME, swing[None], extrapolate=EVERYTHING)
+    both = simulate_batch(model, ["drive.x.p"], [[8.0], [15.0]], TIME, swing[None], extrapolate=True)
+    first = simulate_batch(model, ["drive.x.p"], [[8.0]], TIME, swing[None], extrapolate=True)
     assert np.array_equal(both.values[:1], first.values)
 
 
@@ -170,7 +165,7 @@ def test_the_effort_of_an_extrapolated_ramp_is_the_friction(model: Model, effect
     half = np.arange(2 * len(TIME) - 1) * 0.005
     seen = simulate_batch(
         bare, (), np.empty((1, 0)), half, ramp(half, 0.005)[None], signals=("motor_x_effort",), timestep=0.005,
-        extrapolate=EVERYTHING, means=True,
+        extrapolate=True, means=True,
     )  # fmt: skip
     exact = simulate(bare, often, ramp(often, 0.0005))
     wanted = exact.values[0, often > 0.75, exact.index("motor_x_effort")]
@@ -178,28 +173,35 @@ def test_the_effort_of_an_extrapolated_ramp_is_the_friction(model: Model, effect
 
 
 @pytest.mark.parametrize("samples", [400, 401])
-def test_quantities_are_extrapolated_that_are_named_from_means_of_two_samples(model: Model, samples: int) -> None:
+def test_what_is_extrapolated_is_the_motion_and_torques_that_no_jump_of_a_target_is_beside(
+    model: Model, samples: int
+) -> None:
+    prompt = model.with_values({f"drive.{axis}.{name}": 0.0 for axis in "xy" for name in ("delay", "goal_tick")})
     time, signals = np.arange(samples) * 0.0025, ("board_x", "motor_x_effort")
-    stairs = np.tile(0.1 * np.floor(time / 0.01 + 1e-9)[:, None] * 0.01, 2)
-    stairs[350:353] = np.nan  # switched off within a pair
+    slope = np.tile(0.1 * time[:, None], 2)
+    commands = np.where(time[:, None] < 0.3, slope + 0.000125, np.where(time[:, None] < 0.6, slope[120], 0.08))
+    commands[350:353] = np.nan  # switched off within a pair
 
-    def at(grid: np.ndarray, commands: np.ndarray, extrapolate: Sequence[str] = ()) -> np.ndarray:
+    def at(grid: np.ndarray, given: np.ndarray, extrapolate: bool = False) -> np.ndarray:
         step = grid[1] - grid[0]
-        seen = simulate_batch(model, (), np.empty((1, 0)), grid, commands[None], signals=signals, timestep=step,
-                              means=True, extrapolate=extrapolate)  # fmt: skip
+        seen = simulate_batch(
+            prompt, (), np.empty((1, 0)), grid, given[None], signals=signals, timestep=step, means=True,
+            extrapolate=extrapolate,
+        )  # fmt: skip
         return np.asarray(seen.values[0, 0])
 
-    pairs = stairs[::2].copy()
-    pairs[176] = stairs[353]
-    plain, longer = at(time, stairs), at(time[::2], pairs)
-    motion, both = at(time, stairs, ("position",)), at(time, stairs, ("position", "torque"))
-    assert np.allclose(motion[::2, 0], 2.0 * plain[::2, 0] - longer[:, 0], atol=1e-12)
-    between = (motion - plain)[:, 0]
+    pairs = (commands[::2] + np.append(commands[1::2], commands[samples // 2 * 2 :], axis=0)) / 2.0
+    pairs[176] = commands[353]
+    plain, longer, seen = at(time, commands), at(time[::2], pairs), at(time, commands, extrapolate=True)
+    assert np.allclose(seen[::2, 0], 2.0 * plain[::2, 0] - longer[:, 0], atol=1e-12)
+    between = (seen - plain)[:, 0]
     assert np.allclose(between[1:-1:2], (between[:-2:2] + between[2::2])[: len(between[1:-1:2])] / 2.0, atol=1e-12)
-    assert np.array_equal(motion[:, 1], plain[:, 1])
-    assert np.allclose(both[::2], 2.0 * plain[::2] - longer, atol=1e-12)
-    with pytest.raises(InputError, match="Unknown quantity 'effort'"):
-        at(time, stairs, ("effort",))
+    extrapolated, k = (2.0 * plain[::2] - longer)[:, 1], np.arange(samples)
+    away = (np.abs(k - 120) > 4) & (np.abs(k - 240) > 4) & (np.abs(k - 351) > 8)
+    assert np.allclose(seen[::2, 1][away[::2]], extrapolated[away[::2]], atol=1e-12)
+    beside = slice(237, 243)
+    assert np.array_equal(seen[beside, 1], plain[beside, 1])
+    assert np.abs(seen[away, 1] - plain[away, 1]).max() > 1e-4
 
 
 def test_a_drive_switched_off_lets_go(model: Model) -> None:
@@ -337,7 +339,7 @@ def test_a_drive_that_gives_all_it_has_turns_around_within_a_sample(name: str, l
         sent = np.where(turns < 1, 0.0, np.where(turns % 2 == 1, 1.0, -1.0))[None, :, None]
         found = simulate_batch(
             given, [f"drive.{name}.delay"], delays, time, sent, timestep=every, means=every == step,
-            extrapolate=EVERYTHING,
+            extrapolate=True,
         )  # fmt: skip
         return found.values[:, 0, :: round(step / every), 0]
 

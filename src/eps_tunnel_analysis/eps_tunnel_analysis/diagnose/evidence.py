@@ -19,7 +19,7 @@ from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import Residuals, copied
 from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.simulated import axes_at_rest, first_pose, known_values
-from eps_tunnel_analysis.stamped import CYCLE, Readings, StampedTrial, aligned, readings, setpoints
+from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import simulate_batch
@@ -201,17 +201,6 @@ class Evidence:
             for i, p in enumerate(self.plays)
         ]
 
-    def _extrapolated(self, play: int) -> tuple[str, ...]:
-        """Quantities that are extrapolated: not torques under commands that are held for longer than a step, which jump
-        with them.
-        """
-        if not self.extrapolate:
-            return ()
-        trials = self.plays[play].trials
-        every = min((c.interval for trial in trials for c in trial.commands.values()), default=np.inf)
-        often = every < max((1.0 - LONGER) * self._steps[play], CYCLE)
-        return ("position", "velocity", "torque") if often else ("position", "velocity")
-
     @cached_property
     def initial(self) -> list[dict[str, Array]]:
         """For each play the initial position (1,) of each joint, the mean over its trials; the ball's if it
@@ -253,7 +242,7 @@ class Evidence:
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
-                extrapolate=self._extrapolated(number), means=True,
+                extrapolate=self.extrapolate, means=True,
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]
