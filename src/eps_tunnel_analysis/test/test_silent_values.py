@@ -22,7 +22,7 @@ def search() -> Search:
     model = start().with_values(TRUTH)
     commands = np.zeros((241, 2))
     commands[1:, 0] = np.radians(np.repeat([3.0, -2.0, 4.0, 0.0, -4.0, 4.0], 40))
-    recorded = [Play("steps", made_by(model.with_effect("motion_profile", "x", REAL), commands, finer=8))]
+    recorded = [Play("steps", made_by(model.with_effect("motion_profile", "x", REAL), commands))]
     return part_search(model, recorded, ("motion_profile", "rate_limit"))
 
 

@@ -48,7 +48,7 @@ def test_where_longer_steps_mislead_a_descent_takes_those_that_judge(search: Sea
     sharp = search.judged([((), search.start)], 8)[0]
     search.sharp = np.zeros_like(search.sharp)
     begun = sharp.values.copy()
-    begun[search.library.names.index(SLOW)] = GRADUAL[0]
+    begun[search.library.names.index(SLOW)] = GRADUAL
     (found,) = search.judged([((), begun)], 8)
     (alone,) = search.refit([((), begun)], 8, "exact")
     assert np.allclose(found.residuals, search.residuals(found.values[None], "exact")[0])

@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where efforts are compared: not beside sudden changes of the command's speed."""
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_recordings import record, write_rig
 
-from eps_tunnel_analysis.diagnose import evidence as evidence_module
 from eps_tunnel_analysis.diagnose.axis_search import SearchOptions, axis_parts, axis_search, is_steady
 from eps_tunnel_analysis.diagnose.base_values import base_refit
 from eps_tunnel_analysis.diagnose.evidence import Evidence
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.inputs import load_recorded
-from labyrinth_sim.model import Model, load_model, save_model
-from labyrinth_sim.simulate import BatchResult, simulate_batch
+from eps_tunnel_analysis.stamped import Series
+from labyrinth_sim.model import load_model, save_model
 from labyrinth_sim.trials import Array
 
 TIME = np.arange(400) * 0.01  # s
@@ -58,23 +57,13 @@ def test_the_efforts_of_smooth_moves_tell_the_mass(search: Search) -> None:
     assert found["drive.a.stiffness"] == pytest.approx(60.0, rel=0.02)
 
 
-def test_an_extrapolated_roll_out_is_read_on_the_grid_of_its_shorter_steps(
-    search: Search, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_steps_have_commands_of_their_own_where_these_change_within_a_step(search: Search) -> None:
     held = search.levels["fine"]
-    asked: list[tuple[bool, float, tuple[int, ...]]] = []
-
-    def simulated(model: Model, *arguments: Any, **options: Any) -> BatchResult:
-        asked.append((options["extrapolate"], options["timestep"], arguments[3].shape))
-        return simulate_batch(model, *arguments, **options)
-
-    monkeypatch.setattr(evidence_module, "simulate_batch", simulated)
-    step, answers = 2.0 * held.step(0), []
-    for extrapolate in (True, False):
-        evidence = Evidence(held.model, held.free, held.plays, held.signals, step, extrapolate=extrapolate)
-        answers.append(evidence(search.start)[0])
-    count = evidence.count(0)
-    assert asked == [(True, step / 2.0, (1, 2 * count - 1, 1)), (False, step, (1, count, 1))]
-    moved = evidence.blocks % len(held.signals) == held.signals.index("arm")
-    assert answers[0][moved] == pytest.approx(answers[1][moved], abs=1e-3)
-    assert not np.array_equal(*answers)
+    (play,) = held.plays
+    sent = play.trials[0].commands["arm"]
+    often = np.arange(0.0, sent.time[-1], 0.002)
+    faster = replace(play.trials[0], commands={"arm": Series(often, np.interp(often, sent.time, sent.values))})
+    plays = [replace(play, trials=(faster,))]
+    (halves,) = Evidence(held.model, held.free, plays, held.signals, held.step(0), extrapolate=True)._halves
+    assert halves is not None and halves.shape == (1, 2 * held.count(0), 1)
+    assert held._halves == [None]

@@ -23,8 +23,6 @@ from labyrinth_sim.trials import Array, Trials
 
 CHUNK = 4096  # simulations stepped together, and
 BATCH_BYTES = 2e8  # bytes of what is recorded of them; bound the memory of a large batch
-JUMP = 0.5  # of a target's change from one sample to the next, by which that differs where it jumps
-BESIDE = 2  # samples to either side
 
 
 @dataclass(frozen=True)
@@ -121,6 +119,7 @@ def simulate_batch(
     progress: Callable[[int], None] | None = None,
     extrapolate: bool = False,
     means: bool = False,
+    halves: ArrayLike | None = None,
 ) -> BatchResult:
     """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
 
@@ -139,9 +138,12 @@ def simulate_batch(
         timestep: s, MuJoCo's own step; rounded so that samples are whole numbers of steps.
         nthread: 0 for one per CPU.
         progress: called with the number of finished simulations.
-        extrapolate: to steps of no length, from these steps and others twice as long (Richardson 1911): what MuJoCo's
-            steps get wrong is of first order. Not so torques beside a jump of a drive's target, which jump with it.
+        extrapolate: also step half as far, and extrapolate the motion to steps of no length (Richardson 1911): what
+            MuJoCo's steps get wrong is of first order. Torques too, if there are `halves`; those under a command that
+            is held jump with it, and beside a jump both steps are wrong.
         means: the commands are means over each sample, of commands that may change within it.
+        halves: (c, 2T, u) rad, such means over half samples, for the steps half as long. Without them these are held
+            at the mean of a whole sample, and efforts miss by what the command goes in half a step.
 
     Raises:
         InputError: everything that is wrong with the arguments.
@@ -149,19 +151,21 @@ def simulate_batch(
     grid, block = np.asarray(time, float), np.asarray(commands, float)
     table = np.atleast_2d(np.asarray(values, float))
     ball = with_ball if with_ball is not None else bool(initial) and any(s in (initial or {}) for s in BALL_SIGNALS)
-    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep)
+    finer = None if halves is None else np.asarray(halves, float)
+    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep, finer)
     n, c = len(table), len(block)
     step = float((grid[-1] - grid[0]) / (len(grid) - 1))
     even = even_timestep(step, timestep, model, ball)
-    asked = [(1, block), (2, _in_pairs(block))] if extrapolate else [(1, block)]  # samples of each step, and commands
-    plans = [compiled(model, ball, even * longer) for longer, _ in asked]
+    plans = [compiled(model, ball, even / parts) for parts in ((1, 2) if extrapolate else (1,))]
     plan = plans[0]
+    asked = [(step, block), (step, block) if finer is None else (step / 2.0, finer)][: len(plans)]
     every = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if ball else ())
     unseen = [unknown_name("simulated signal", name, every) for name in signals or () if name not in every]
     if unseen:
         raise InputError(unseen)
     columns = [every.index(name) for name in (every if signals is None else signals)]
-    torques = [i for i, m in enumerate(model.rig.measured) if m.quantity == "torque" and i in columns]
+    torques = [m.quantity == "torque" for m in model.rig.measured] + [False for _ in (BALL_SIGNALS if ball else ())]
+    smooth = np.array([finer is not None or not torque for torque in torques], dtype=float)
     out = np.empty((n * c, len(grid), len(columns)))
     messages: dict[tuple[int, int], str] = {}
     steps = done = 0
@@ -181,27 +185,22 @@ def simulate_batch(
         own = {name: given[alone] for name, given in numbers.items()}
         owner = plays[which[alone]]
         start = {name: given[alone] for name, given in first.items()}
-        engines, rolled, reached = [], [], []
-        for each, (longer, given) in zip(here, asked, strict=True):
-            engine = Engine(model, each, own, len(alone), longer * step, nthread)
-            targets = _targets(model, each, engine, own, given[owner], start, holds[owner])
-            reached.append(targets)
-            rolled.append(engine.roll(targets, means or longer > 1))
-            steps += len(alone) * engine.substeps * (given.shape[1] - 1)
+        engines, rolled = [], []
+        for each, (apart, given) in zip(here, asked, strict=True):
+            engine = Engine(model, each, own, len(alone), apart, nthread)
+            motion = _roll_out(model, each, engine, own, apart, given[owner], start, holds[owner], means)
             engines.append(engine)
-        raw = rolled[0]
+            rolled.append(motion[:, :: round(step / apart)])
+        raw = rolled[-1][shared]
         if extrapolate:
-            missed = _missed(*rolled)
-            if torques:
-                missed[..., torques] *= ~_beside_jumps(reached[0])[..., None]
-            raw = raw + missed
-        raw = raw[shared]
+            raw = raw + (rolled[1] - rolled[0])[shared] * smooth
         seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
         for engine in engines:
             out[which[engine.failed[shared]]] = np.nan
             texts = [(i, engine.messages[int(k)]) for i, k in zip(which, shared, strict=True) if engine.failed[k]]
             messages |= {(int(sets[i]), int(plays[i])): text for i, text in texts}
+            steps += len(alone) * round(engine.substeps * step / engine.step) * (len(grid) - 1)
         done += len(which)
         if progress:
             progress(done)
@@ -212,24 +211,6 @@ def simulate_batch(
     answers.setflags(write=False)
     chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
     return BatchResult(chosen, units, answers, failed, messages, steps)
-
-
-def _in_pairs(commands: Array) -> Array:
-    """(c, K, u) means of (c, T, u) over two samples each, the last of which may be alone; of what is switched off
-    within, of the other.
-    """
-    first, last = commands[:, ::2], commands[:, 1::2]
-    last = np.concatenate([last, first[:, last.shape[1] :]], axis=1)
-    first, last = np.where(np.isnan(first), last, first), np.where(np.isnan(last), first, last)
-    return np.asarray((first + last) / 2.0)
-
-
-def _missed(short: Array, long: Array) -> Array:
-    """(n, T, m) what steps of no length add to samples (n, T, m), from those of steps twice as long (n, K, m)."""
-    off = short[:, ::2] - long
-    missed = np.repeat(off, 2, axis=1)[:, : short.shape[1]]
-    missed[:, 1:-1:2] = (off[:, :-1] + off[:, 1:])[:, : missed[:, 1:-1:2].shape[1]] / 2.0
-    return missed
 
 
 def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int, chunk: int) -> Iterator[NDArray[np.int64]]:
@@ -255,37 +236,22 @@ def _moving_differently(
     return alone, np.ravel(shared)
 
 
-def _targets(
+def _roll_out(
     model: Model,
     plan: Plan,
     engine: Engine,
     numbers: Mapping[str, Array],
+    step: float,
     commands: Array,
     first: Mapping[str, Array],
     resting: NDArray[np.bool_],
+    means: bool,
 ) -> Array:
-    """(nsim, T, u) rad, what the drives are told in the end by commands (nsim, T, u); puts the engine into its first
-    state.
-    """
     qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
     start = rest_targets(plan, qpos, commands[:, 0], resting)
-    filters, reached = command_filters(plan, numbers, engine.step, start, resting)
+    filters, reached = command_filters(plan, numbers, step, start, resting)
     engine.start(qpos, qvel, reached)
-    return through(filters, commands)
-
-
-def _beside_jumps(targets: Array) -> NDArray[np.bool_]:
-    """(n, T) whether any of the targets (n, T, u) jumps near a sample: its change is another one than before."""
-    change = np.diff(targets, axis=1)
-    bend = np.abs(np.diff(change, axis=1))
-    even = bend <= JUMP * np.maximum(np.abs(change[:, 1:]), np.abs(change[:, :-1]))
-    jumps = np.zeros(targets.shape[:2], dtype=bool)
-    jumps[:, 1:-1] = ~even.all(axis=2)  # a NaN, where a drive is switched, jumps
-    near = jumps.copy()
-    for by in range(1, BESIDE + 1):
-        near[:, by:] |= jumps[:, :-by]
-        near[:, :-by] |= jumps[:, by:]
-    return near
+    return engine.roll(through(filters, commands), means)
 
 
 def rest_targets(plan: Plan, qpos: Array, first: Array, resting: NDArray[np.bool_] | bool = False) -> Array:
@@ -322,6 +288,7 @@ def _check(
     resting: ArrayLike | None,
     ball: bool,
     timestep: float | None,
+    finer: Array | None,
 ) -> None:
     known = model.parameters()
     complaints = [unknown_name("parameter", n, known) for n in (*names, *(per_command or {})) if n not in known]
@@ -351,6 +318,8 @@ def _check(
             f"commands must have shape (c, {len(grid)}, {u}) for {', '.join(model.rig.command_channels)}, "
             f"got {block.shape}."
         )
+    elif finer is not None and finer.shape != (len(block), 2 * len(grid), u):
+        complaints.append(f"halves must have shape ({len(block)}, {2 * len(grid)}, {u}), got {finer.shape}.")
     if np.isinf(block).any():
         complaints.append("commands must be finite, or NaN where the drive is off.")
     valid = model.rig.signals

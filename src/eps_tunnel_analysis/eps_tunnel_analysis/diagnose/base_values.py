@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_search, joined, side_by_side
-from eps_tunnel_analysis.diagnose.contained import best_points
 from eps_tunnel_analysis.diagnose.prescribed import Motions, coupled_with, measured_motions, with_prescribed_motion
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Refit
@@ -28,7 +27,7 @@ BASE_ROUNDS = 8  # of each descent
 COMPARED_ROUNDS = 3  # of the finalists, before they are compared
 VALLEY_POINTS = 8  # to either side of the best, along the direction that it determines least
 MORE_DESCENTS = 3  # further descents at most, as long as the last one helped
-GRADUAL = (3e-4, 1e-3, 3e-3)  # rad/s; friction that sets in gradually is descended from the best of these
+GRADUAL = 3e-4  # rad/s, from which friction that sets in gradually is descended
 BASE_FINALISTS = 3  # of the starts, descended to the end
 SLEEPING_POINTS = 8  # from what is stated to a bound, at which a value that does not show is tried
 WOKEN = 2  # of these values that are fitted from there
@@ -266,10 +265,8 @@ def softened(search: Search, refits: Sequence[Refit]) -> list[Refit]:
     if not sharp.any() or not refits:
         return list(refits)
     search.sharp = np.zeros_like(sharp)
-    jobs = []
-    for refit in refits:
-        points = np.array([np.where(sharp & (refit.values == 0.0), slow, refit.values) for slow in GRADUAL])
-        jobs.append((search.library.of(refit.effects), best_points(search, points, 1, "exact")[0]))
+    starts = [np.where(sharp & (r.values == 0.0), GRADUAL, r.values) for r in refits]
+    jobs = [(search.library.of(r.effects), start) for r, start in zip(refits, starts, strict=True)]
     pairs = list(zip(refits, search.judged(jobs, BASE_ROUNDS), strict=True))
     if not any(softer.objective < (1.0 - STANDS) * before.objective for before, softer in pairs):
         search.sharp = sharp

@@ -19,7 +19,7 @@ from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import Residuals, copied
 from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.simulated import axes_at_rest, first_pose, known_values
-from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
+from eps_tunnel_analysis.stamped import CYCLE, Readings, StampedTrial, aligned, readings, setpoints
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import simulate_batch
@@ -167,16 +167,16 @@ class Evidence:
 
     def count(self, play: int) -> int:
         """Points of a play's simulation grid."""
-        return int(np.ceil(self.plays[play].seconds / self.step(play) - 1e-9)) + 1
+        return int(np.ceil(self.plays[play].seconds / self._steps[play] - 1e-9)) + 1
 
     def step(self, play: int) -> float:
         """s between the points of a play's simulation grid."""
-        return self._steps[play] / (2.0 if self.extrapolate else 1.0)
+        return self._steps[play]
 
     @property
     def shortest(self) -> float:
         """s, the shortest step of all plays."""
-        return min(self.step(play) for play in range(len(self.plays)))
+        return min(self._steps) / (2.0 if self.extrapolate else 1.0)
 
     def times(self, play: int) -> Array:
         """(K,) s, a play's simulation grid."""
@@ -195,11 +195,24 @@ class Evidence:
     @cached_property
     def commands(self) -> list[Array]:
         """For each play (K, u) rad, the setpoint during each step of its grid; NaN where the drive is off."""
-        channels = self.model.rig.command_channels
-        return [
-            np.column_stack([setpoints(p.trials, c, self.step(i), self.count(i)) for c in channels])
-            for i, p in enumerate(self.plays)
-        ]
+        return [self._setpoints(play, 1) for play in range(len(self.plays))]
+
+    @cached_property
+    def _halves(self) -> list[Array | None]:
+        """For each play (1, 2K, u) rad, the setpoint during each half of a step of its grid; None where a command is
+        held for longer than a step anyway, or nothing is extrapolated.
+        """
+        found: list[Array | None] = []
+        for i, play in enumerate(self.plays):
+            every = min((c.interval for trial in play.trials for c in trial.commands.values()), default=np.inf)
+            often = every < max((1.0 - LONGER) * self.step(i), CYCLE)
+            found.append(self._setpoints(i, 2)[None] if often and self.extrapolate else None)
+        return found
+
+    def _setpoints(self, play: int, parts: int) -> Array:
+        """(K * parts, u) rad, the setpoint during each part of a step of a play's grid."""
+        trials, step, count = self.plays[play].trials, self.step(play) / parts, self.count(play) * parts
+        return np.column_stack([setpoints(trials, c, step, count) for c in self.model.rig.command_channels])
 
     @cached_property
     def initial(self) -> list[dict[str, Array]]:
@@ -242,7 +255,7 @@ class Evidence:
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
-                extrapolate=self.extrapolate, means=True,
+                extrapolate=self.extrapolate, means=True, halves=self._halves[number],
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 seen = result.values[:, 0, :, column]
