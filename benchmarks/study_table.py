@@ -50,7 +50,7 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_reached": "limits that a descent never reached are looked for; as tried, longer steps chose dampings",
     "diagnosis_efforts": "before efforts of smooth motion; five were looked at again with these, the same",
     "diagnosis_trials": "efforts of smooth motion count; from 871048 on a single trial's further effects, too",
-    "diagnosis_jumps": "efforts under held commands are not extrapolated; before valleys were tried for further effects",
+    "diagnosis_jumps": "efforts under held commands are not extrapolated; before sets were tried far along valleys",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
