@@ -21,6 +21,7 @@ from eps_tunnel_analysis.diagnose.experiment import menu, was_played
 from eps_tunnel_analysis.diagnose.named_intervals import named_intervals
 from eps_tunnel_analysis.diagnose.rank import worst_floors
 from eps_tunnel_analysis.diagnose.refits import Job, Refit
+from eps_tunnel_analysis.diagnose.roll_outs import STANDS
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.sets import begun, next_refits, refined, rival_refits, stated_jobs, tick_refits
 from eps_tunnel_analysis.diagnose.ticks import command_response
@@ -340,6 +341,7 @@ def test_other_valleys_are_looked_for_far_away_within_the_bounds(recorded: list[
     assert len(found) == 5 and search.valleys(here) is found
     assert all((search.low <= r.values).all() and (r.values <= search.high).all() for r in found)
     assert sorted(r.objective for r in found[1:]) == [r.objective for r in found[1:]]
+    assert found[0].objective <= min(r.objective for r in found) + STANDS
 
 
 def test_a_value_that_moves_nothing_may_be_anything(recorded: list[Play], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,8 +164,8 @@ def simulate_batch(
     if unseen:
         raise InputError(unseen)
     columns = [every.index(name) for name in (every if signals is None else signals)]
-    torques = [m.quantity == "torque" for m in model.rig.measured] + [False for _ in (BALL_SIGNALS if ball else ())]
-    smooth = np.array([finer is not None or not torque for torque in torques], dtype=float)
+    jumping = {m.signal for m in model.rig.measured if m.quantity == "torque"} if finer is None else set()
+    smooth = np.array([name not in jumping for name in every])
     out = np.empty((n * c, len(grid), len(columns)))
     messages: dict[tuple[int, int], str] = {}
     steps = done = 0
@@ -193,7 +193,7 @@ def simulate_batch(
             rolled.append(motion[:, :: round(step / apart)])
         raw = rolled[-1][shared]
         if extrapolate:
-            raw = raw + (rolled[1] - rolled[0])[shared] * smooth
+            raw[..., smooth] += (rolled[1] - rolled[0])[shared][..., smooth]
         seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
         for engine in engines:
