@@ -24,7 +24,7 @@ from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.roll_outs import STANDS
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.sets import begun, next_refits, refined, rival_refits, stated_jobs, tick_refits
-from eps_tunnel_analysis.diagnose.ticks import command_response
+from eps_tunnel_analysis.diagnose.ticks import command_response, tick_points
 from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
 from labyrinth_sim.trials import Trials
@@ -395,22 +395,38 @@ def test_an_effect_of_several_values_is_fitted_from_several_of_its_own(recorded:
     assert len(set(from_where["stribeck_friction.x"])) == 3
 
 
+LEVELS = np.repeat(np.append(0.0, np.radians(np.random.default_rng(2).uniform(-10.0, 10.0, 29))), 15)
+SWEEP = 0.17 * np.sin(np.arange(450) * 0.02)  # rad; so slow that it shows little of a response by itself
+
+
 def test_the_linear_response_to_a_rounded_command_is_nearly_what_a_roll_out_shows() -> None:
-    levels = np.radians(np.random.default_rng(2).uniform(-10.0, 10.0, 30))
-    targets = np.repeat(np.append(0.0, levels[1:]), 15)
     model = start().with_values(TRUTH)
-    trials = [Play("levels", made_by(model, np.column_stack([targets, 0.0 * targets])))]
+    trials = [Play("levels", made_by(model, np.column_stack([LEVELS, 0.0 * LEVELS])))]
     search = part_search(model, trials, ("command_quantisation",))
     base = search.refit([((), search.start)], 0)[0]
     axis = model.rig.axes[0]
     rows = np.flatnonzero(np.isin(search.signal, [search.evidence.signals.index(n) for n in axis.positions]))
-    answer, commands = command_response(search, base, axis, rows)
+    search.settle_at(base)
+    shown = np.array([0.05, 0.04, 0.025, 0.017, 0.012])  # others than are asked about
+    answer = command_response(search, base, search.library.candidates[0], axis, rows, shown)
+    commands = np.unique(search.evidence.commands[0][:, 0])
     for tick, cut in ((0.02, 0.0), (0.03, 0.5)):
         rounded = search.start.copy()
         rounded[search.columns(search.library.candidates[0])] = (tick, cut)
         change = (search.residuals(rounded[None])[0] - search.residuals(search.start[None])[0])[rows]
         linear = answer @ (tick * np.round(commands / tick - cut) - commands)
         assert np.sqrt(np.mean((linear - change) ** 2)) < 0.3 * np.sqrt(np.mean(change**2))
+
+
+def test_the_tick_of_a_slow_sweep_is_the_likeliest() -> None:
+    model, tick = start().with_values(TRUTH), 0.0128
+    truth = model.with_effect("command_quantisation", "x", {"tick": tick})
+    trials = [Play("sweep", made_by(truth, np.column_stack([SWEEP, 0.0 * SWEEP])))]
+    search = part_search(model, trials, ("command_quantisation",))
+    base = search.refit([((), search.start)], 4)[0]
+    best = tick_points(search, [base], 1.1)[0]
+    column = search.library.names.index("command_quantisation.x.tick")
+    assert best.values[column] == pytest.approx(tick, rel=0.25 * tick / np.abs(SWEEP).max())
 
 
 @pytest.mark.study

@@ -3,7 +3,7 @@
 
 A tick of which a command spans many fits only to a part of a per cent, and its misfit has no slope beside that. So
 every tick is tried, by what a loop answers to a small change of its command: to first order its linear response, which
-is seen in the roll-out of the whole command. Only the best ticks are rolled out.
+is seen in roll-outs with a few ticks. Only the best ticks are rolled out.
 """
 
 import itertools
@@ -27,6 +27,7 @@ PART_OF_A_TICK = 0.025  # by which the largest command moves from one of all tic
 MOST_TICKS = 40_000  # of each way to round; the finest are left out
 ROLLED_OUT = 24  # ticks, each the best of its valley
 SAME_VALLEY = 0.5  # of a tick, in how many a command spans
+SHOWN = 8  # ticks in whose roll-outs the response is seen
 YOUNGEST, OLDEST, LAGS = 0.01, 1.5, 20  # s, ages of a command that a response tells apart, and how many
 LEAST_WEIGHT = 1e-4  # share of the largest part of a response below which it is left out
 SAMPLES_COMPARED = 600  # evenly spaced over the recordings
@@ -66,12 +67,16 @@ def likely_ticks(
     """
     rows = np.flatnonzero(here)
     rows = rows[:: max(1, len(rows) // SAMPLES_COMPARED)]
-    answer, commands = command_response(search, refit, axis, rows)
+    commands = np.unique(np.concatenate(_given(search, axis)))
+    largest = float(np.abs(commands).max(initial=0.0))
+    ticks = every_tick(largest, finest, COARSEST_TICK * candidate.declared[0].high)
+    if not len(ticks):
+        return np.empty((0, len(candidate.declared)))
+    shown = ticks[np.unique(np.geomspace(1, len(ticks), SHOWN).astype(int) - 1)]
+    answer = command_response(search, refit, candidate, axis, rows, shown)
     compensated = directions(search.changes(refit)[rows])
     answer -= compensated @ (compensated.T @ answer)
     left = refit.residuals[rows] - compensated @ (compensated.T @ refit.residuals[rows])
-    largest = float(np.abs(commands).max(initial=0.0))
-    ticks = every_tick(largest, finest, COARSEST_TICK * candidate.declared[0].high)
     best: list[tuple[float, Array]] = []
     for row in roundings(candidate.declared):
         cost = np.zeros(len(ticks))
@@ -95,30 +100,42 @@ def every_tick(largest: float, finest: float, coarsest: float) -> Array:
     return np.asarray(largest / (fewest + PART_OF_A_TICK * np.arange(count, dtype=np.float64)))
 
 
-def command_response(search: Search, refit: Refit, axis: Axis, rows: NDArray[np.int64]) -> tuple[Array, Array]:
-    """(n, c) floors by which each of the samples `rows` (n,) moves per rad of a commanded value, and (c,) these values.
+def _given(search: Search, axis: Axis) -> list[Array]:
+    """For each play (K,) rad, the axis's command during each step; 0 where the drive is off."""
+    u = search.library.model.rig.command_channels.index(axis.command)
+    return [np.nan_to_num(c[:, u]) for c in search.evidence.commands]
 
-    The response is that of a linear loop: weights of the command by its age, fitted to what the refit's motion does.
+
+def command_response(
+    search: Search, refit: Refit, candidate: Candidate, axis: Axis, rows: NDArray[np.int64], ticks: Array
+) -> Array:
+    """(n, c) floors by which each of the samples `rows` (n,) moves per rad of each of the c commanded values.
+
+    The response is that of a linear loop: weights of the command by its age, fitted to what ticks (t,) do to the motion
+    of the refit, which the search is settled at.
     """
-    evidence, u = search.evidence, search.library.model.rig.command_channels.index(axis.command)
-    given = [np.nan_to_num(c[:, u]) for c in evidence.commands]
+    evidence, rig, given = search.evidence, search.library.model.rig, _given(search, axis)
     values = np.unique(np.concatenate(given))
-    moved = evidence.mean[search.used][rows] + refit.residuals[rows] * search.scale[rows]
+    row = roundings(candidate.declared)[0]
+    points = np.tile(refit.values, (len(ticks), 1))
+    points[:, search.columns(candidate)] = [[tick, *row[1:]] for tick in ticks]
+    moved = np.nan_to_num(search.residuals(points)[:, rows] - refit.residuals[rows]) * search.scale[rows]
     answer = np.zeros((len(rows), len(values)))
     for block in np.unique(search.blocks[rows]):
         own = np.flatnonzero(search.blocks[rows] == block)
         play = int(block) // len(evidence.signals)
         time, step, command = evidence.time[search.used][rows[own]], evidence.step(play), given[play]
-        seen = np.column_stack([shares @ command for shares in _by_age(time, step, len(command))] + [np.ones(len(own))])
-        weights = np.linalg.lstsq(seen, moved[own], rcond=LEAST_WEIGHT)[0]
+        wrong = _rounded(candidate, axis, rig, ticks, row, command) - command
+        seen = np.stack([wrong @ shares.T for shares in _by_age(time, step, len(command))], axis=2)  # (t, own, ages)
+        weights = np.linalg.lstsq(seen.reshape(-1, seen.shape[2]), moved[:, own].ravel(), rcond=LEAST_WEIGHT)[0]
         ages = _by_age(time, step, len(command))  # anew, because all at once are large
-        response = sum(
-            (w * shares for w, shares in zip(weights[:-1], ages, strict=True)), np.zeros((len(own), len(command)))
-        )
+        response = np.zeros((len(own), len(command)))
+        for weight, shares in zip(weights, ages, strict=True):
+            response += weight * shares
         which = np.searchsorted(values, command)
         each = sparse.csr_array((np.ones(len(command)), (np.arange(len(command)), which)), (len(command), len(values)))
         answer[own] = np.asarray(response @ each) / search.scale[rows[own], None]
-    return answer, values
+    return answer
 
 
 def _by_age(time: Array, step: float, count: int) -> Iterator[Array]:
