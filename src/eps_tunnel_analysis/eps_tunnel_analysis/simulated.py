@@ -76,7 +76,7 @@ class Rollouts:
             result = simulate_batch(
                 model, names, values[low : low + rows], self.time, self.commands, self.initial,
                 per_command=self.known, resting=self.resting, signals=signals, with_ball=self.with_ball,
-                timestep=self.time[1] if len(self.time) > 1 else None, nthread=nthread, means=True,
+                timestep=self.time[1] if len(self.time) > 1 else None, nthread=nthread, parts=1,
             )  # fmt: skip
             read = np.array(result.values[:, :, :: self.every])
             read[result.failed] = np.nan

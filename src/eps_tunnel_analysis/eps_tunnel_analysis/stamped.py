@@ -169,8 +169,9 @@ class Readings:
 
 
 def readings(
-    series: Sequence[Series], seconds: float, step: float, count: int, width: float, from_time: float = 0.0
-) -> Readings:
+    series: Sequence[Series], seconds: float, step: float, count: int, width: float, from_time: float = 0.0,
+    straight: bool = False,
+) -> Readings:  # fmt: skip
     """Bins of equal width over all trials of one signal.
 
     Args:
@@ -179,6 +180,7 @@ def readings(
         step, count: of the model's grid, which starts at 0.
         width: s, of a bin.
         from_time: s; earlier samples are left out.
+        straight: read on straight lines between the grid's points, for what jumps; on cubics else.
     """
     bins = max(1, int(np.ceil(seconds / width)))
     times, values, owners = [], [], []
@@ -198,7 +200,7 @@ def readings(
     share = 1.0 / np.maximum(here, 1)
     mean_time = np.bincount(row_of, time * share[which], len(kept)).astype(float)
     mean = np.bincount(row_of, value * share[which], len(kept)).astype(float)
-    rows, columns, weights = _cubic(time, step, count)
+    rows, columns, weights = _interpolation(time / step, count, 2 if straight else 4)
     entries = sparse.coo_array((weights * share[which[rows]], (row_of[rows], columns)), shape=(len(kept), count))
     slope = np.gradient(mean, mean_time) if len(kept) > 1 else np.zeros(len(kept))
     level = value - slope[row_of] * (time - mean_time[row_of])
@@ -212,18 +214,20 @@ def readings(
     return Readings(mean_time, mean, entries.tocsr(), single, stamps, counts)
 
 
-def _cubic(time: Array, step: float, count: int) -> tuple[Array, Array, Array]:
-    """Weights of cubic interpolation on an even grid: for each of them the sample, the grid's point and the weight."""
-    low = np.clip(np.floor(time / step).astype(np.int64) - 1, 0, max(count - 4, 0))
-    x = time / step - low
-    terms = min(4, count)
+def _interpolation(place: Array, count: int, points: int) -> tuple[Array, Array, Array]:
+    """Weights of a polynomial through the nearest points of a grid of so many, at places (n,) in steps from its start:
+    for each of them the sample, the grid's point and the weight.
+    """
+    low = np.clip(np.floor(place).astype(np.int64) - (points // 2 - 1), 0, max(count - points, 0))
+    x = place - low
+    terms = min(points, count)
     rows, columns, weights = [], [], []
     for i in range(terms):
         weight = np.ones_like(x)
         for j in range(terms):
             if j != i:
                 weight *= (x - j) / (i - j)
-        rows.append(np.arange(len(time)))
+        rows.append(np.arange(len(place)))
         columns.append(low + i)
         weights.append(weight)
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(weights)

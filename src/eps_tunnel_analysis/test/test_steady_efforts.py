@@ -57,13 +57,22 @@ def test_the_efforts_of_smooth_moves_tell_the_mass(search: Search) -> None:
     assert found["drive.a.stiffness"] == pytest.approx(60.0, rel=0.02)
 
 
-def test_half_steps_have_commands_of_their_own_where_these_change_within_a_step(search: Search) -> None:
+@pytest.mark.parametrize("every", [0.01, 0.002])
+def test_longer_steps_tell_efforts_as_shorter_ones_do(search: Search, every: float) -> None:
     held = search.levels["fine"]
     (play,) = held.plays
     sent = play.trials[0].commands["arm"]
-    often = np.arange(0.0, sent.time[-1], 0.002)
-    faster = replace(play.trials[0], commands={"arm": Series(often, np.interp(often, sent.time, sent.values))})
+    times = np.arange(0.0, sent.time[-1], every) + 0.3 * every
+    faster = replace(play.trials[0], commands={"arm": Series(times, np.interp(times, sent.time, sent.values))})
     plays = [replace(play, trials=(faster,))]
-    (halves,) = Evidence(held.model, held.free, plays, held.signals, held.step(0), extrapolate=True)._halves
-    assert halves is not None and halves.shape == (1, 2 * held.count(0), 1)
-    assert held._halves == [None]
+    late = held.model.with_values({"drive.a.delay": 0.004})
+    long = Evidence(late, held.free, plays, held.signals, held.step(0), extrapolate=True)
+    values = search.start.copy()
+    values[list(held.free).index("drive.a.delay")] = 0.004
+    off = (long(values) - long.finer().finer()(values))[0]
+    efforts = np.isin(long.blocks, [held.signals.index("arm_effort")])
+    used = np.isin(np.arange(len(off)), search.used) & efforts
+    scale = np.ones(len(off))
+    scale[search.used] = search.scale
+    assert used.sum() > 100
+    assert np.mean((off / scale)[used] ** 2) < 1e-3

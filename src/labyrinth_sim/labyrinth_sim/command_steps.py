@@ -7,14 +7,11 @@ give the torque of the mean target then, but the mean of both torques. What diff
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labyrinth_sim.build import Plan
-from labyrinth_sim.live import Fields
-from labyrinth_sim.servo import back_emf_actuator
+from labyrinth_sim.drive_torques import DriveTorques
 from labyrinth_sim.trials import Array
 
 SPREAD = 2  # samples over which a delay may spread a step of a command
@@ -103,35 +100,12 @@ class StepTorques:
     """What is missing of the drives' mean torque over samples in which a command steps.
 
     Args:
+        drives: what they give.
         gains: (nsim,) control per radian of the target, for each drive.
-
-    Attributes:
-        actuator, dof, qpos: (u,) numbers of each drive's actuator, degree of freedom and position.
     """
 
-    def __init__(self, plan: Plan, fields: Fields, gains: Sequence[Array]) -> None:
-        def of(name: str, *place: int) -> Array:
-            held = fields.used.get(name)
-            every: Any = (slice(None), *place)
-            return np.asarray(getattr(fields.model, name)[place]) if held is None else held[every]
-
-        def column(values: Sequence[Array]) -> Array:
-            return np.column_stack([np.broadcast_to(v, len(fields.torque)) for v in values])
-
-        sites = [site for _, _, site in plan.drives]
-        emf = [back_emf_actuator(site) for site in sites]
-        self.dof, self.qpos = (np.array([getattr(s, name) for s in sites]) for name in ("dof", "qpos"))
-        self.actuator = np.array([s.actuator for s in sites])
-        self._gain = column(gains)
-        self._force = column([of("actuator_gainprm", a, 0) for a in self.actuator])
-        self._bias = [column([of("actuator_biasprm", a, k) for a in self.actuator]) for k in range(3)]
-        self._range = [column([of("actuator_forcerange", a, k) for a in self.actuator]) for k in range(2)]
-        self._emf = column([of("actuator_biasprm", e, 2) if e >= 0 else np.zeros(1) for e in emf])
-        limited = [(s.joint, bool(fields.model.jnt_actfrclimited[s.joint])) for s in sites]
-        self._joint = [
-            column([of("jnt_actfrcrange", joint, k) if own else np.array(end) for joint, own in limited])
-            for k, end in ((0, -np.inf), (1, np.inf))
-        ]
+    def __init__(self, drives: DriveTorques, gains: Sequence[Array]) -> None:
+        self.drives, self._gain = drives, np.column_stack(gains)
 
     def __call__(self, steps: CommandSteps, control: Array, angle: Array, speed: Array) -> Array:
         """(s,) N m on the axes' degrees of freedom, in addition to what the drives give.
@@ -144,9 +118,7 @@ class StepTorques:
 
         def torque(target: Array) -> Array:
             asked = control + self._gain[i, a] * (target - steps.target)
-            bias = self._bias[0][i, a] + self._bias[1][i, a] * angle + self._bias[2][i, a] * speed
-            force = np.clip(self._force[i, a] * asked + bias, self._range[0][i, a], self._range[1][i, a])
-            return np.clip(force + self._emf[i, a] * speed, self._joint[0][i, a], self._joint[1][i, a])
+            return self.drives(i, a, asked, angle, speed)
 
         mean = steps.share * torque(steps.after) + (1.0 - steps.share) * torque(steps.before)
         return steps.part * mean + (1.0 - steps.part) * torque(steps.mean) - torque(steps.target)

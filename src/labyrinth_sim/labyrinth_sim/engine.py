@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from labyrinth_sim.build import Plan, local_values
 from labyrinth_sim.command_steps import CommandSteps, StepTorques, command_steps
+from labyrinth_sim.drive_torques import DriveTorques
 from labyrinth_sim.effect import Controller, Values
 from labyrinth_sim.filters import Delay
 from labyrinth_sim.first_state import place_ball
@@ -47,9 +48,13 @@ class Engine:
         nsim: how many.
         step: s between samples.
         nthread: 0 for one per CPU. The result does not depend on it.
+        driven: after what the rig measures, signals have the position and the speed of each drive's joint as well, and
+            efforts leave out what commands do that step within a sample; for `efforts_between`.
     """
 
-    def __init__(self, model: Model, plan: Plan, values: Values, nsim: int, step: float, nthread: int = 0) -> None:
+    def __init__(
+        self, model: Model, plan: Plan, values: Values, nsim: int, step: float, nthread: int = 0, driven: bool = False
+    ) -> None:
         self.plan, self.nsim, self.step = plan, nsim, step
         self.substeps = max(1, round(step / plan.mj.opt.timestep))
         self.batch = mujoco.batch.Batch(plan.mj, nsim, nthread)
@@ -84,9 +89,12 @@ class Engine:
         self._laws = Laws(plan, errors, steps, values, nsim) if between else None
         self._off, self._any_off = np.zeros((nsim, len(plan.drives)), dtype=bool), False
         self._earlier: list[Delay] = []
+        self._driven = driven
         self._addresses = [_address(plan.mj, m) for m in model.rig.measured]
+        if driven:
+            self._addresses += [pair for s in sites for pair in (("position", s.qpos), ("velocity", s.dof))]
         self._measured = self._columns(self._addresses)
-        self._signals = len(model.rig.measured) + (len(BALL_SIGNALS) if plan.with_ball else 0)
+        self._signals = len(self._addresses) + (len(BALL_SIGNALS) if plan.with_ball else 0)
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS if plan.with_ball else mujoco.mjtStage.mjSTAGE_NONE)
         self.failed: NDArray[np.bool_] = np.zeros(nsim, dtype=bool)
         self.messages: dict[int, str] = {}
@@ -121,8 +129,7 @@ class Engine:
         """
         self.batch.bind("qpos")[...] = qpos
         self.batch.bind("qvel")[...] = qvel
-        window = np.full(self.nsim, self._window)
-        self._earlier = [Delay(window, self.step, target[:, i]) for i in range(len(self.plan.drives))]
+        self._earlier = self._before(target, self.step)
         if (self._every_step or self.plan.with_ball) and not (self._laws and self._whole):
             self._run(lambda ids: self.batch.forward(ids))
 
@@ -137,8 +144,8 @@ class Engine:
             those that act from then on.
         """
         targets, steps = command_steps(targets, self._reach) if means else (targets, None)
-        if steps:
-            _ = self._torques  # reads the drives' fields before any law changes them
+        if steps or self._driven:
+            _ = self.torques  # reads the drives' fields before any law changes them
         if not self._whole:
             return self._stepped(targets, steps)
         if self._laws is not None:
@@ -171,7 +178,7 @@ class Engine:
             if (off[:, low] != self._off).any():
                 self._switch(off[:, low])
             own = steps.at(low) if steps and low in within else None
-            more = self._push(own, control[own.sim, low, self._torques.actuator[own.axis]]) if own else None
+            more = self._push(own, control[own.sim, low, self.torques.actuator[own.axis]]) if own else None
             self._record(control[:, low:high], raw, low)
             if more is not None:
                 self.live.applied[...] = self.fields.torque
@@ -180,30 +187,53 @@ class Engine:
         return raw
 
     @cached_property
-    def _torques(self) -> StepTorques:
-        return StepTorques(self.plan, self.fields, self._gain)
+    def torques(self) -> DriveTorques:
+        """What the drives give."""
+        return DriveTorques(self.plan, self.fields)
+
+    @cached_property
+    def _step_torques(self) -> StepTorques:
+        return StepTorques(self.torques, self._gain)
 
     def _push(self, steps: CommandSteps, control: Array) -> Array:
         """(nsim, nv) what is missing of the drives' torques in a sample in which commands step; it acts from now on."""
-        sims, dofs, places = steps.sim, self._torques.dof[steps.axis], self._torques.qpos[steps.axis]
+        sims, dofs, places = steps.sim, self.torques.dof[steps.axis], self.torques.qpos[steps.axis]
         more = np.zeros_like(self.live.applied)
         angle, speed = self.live.qpos[sims, places], self.live.qvel[sims, dofs]
-        more[sims, dofs] = self._torques(steps, control, angle, speed)
+        more[sims, dofs] = self._step_torques(steps, control, angle, speed)
         self.live.applied[...] = self.fields.torque + more
         return more
 
     def _count(self, more: Array, seen: Array) -> None:
-        """Adds torques (nsim, nv) to the efforts among signals (nsim, m)."""
+        """Adds torques (nsim, nv) to the efforts among signals (nsim, m), but where these are those between steps."""
         for column, (quantity, address) in enumerate(self._addresses):
-            if quantity == "torque":
+            if quantity == "torque" and not self._driven:
                 seen[:, column] += more[:, address]
 
     def _controls(self, targets: Array, off: NDArray[np.bool_]) -> Array:
         """(nsim, T, nu) of all actuators, as far as the targets alone tell."""
         control = np.zeros((self.nsim, targets.shape[1], self.plan.mj.nu))
         for i, (_, _, site) in enumerate(self.plan.drives):
-            control[:, :, site.actuator] = np.where(off[:, :, i], 0.0, self._law(i, targets[:, :, i]))
+            control[:, :, site.actuator] = np.where(off[:, :, i], 0.0, self._law(i, targets[:, :, i], self._earlier[i]))
         return control
+
+    def asked(self, drive: int, targets: Array, start: Array, step: float | None = None) -> Array:
+        """(nsim, K) controls of a drive for targets (nsim, K, u) rad, NaN where it is off, without what depends on the
+        angle.
+
+        Args:
+            start: (nsim, u) rad, the targets until then.
+            step: s between the targets, each of which is what a drive sees at its time; None for the means over this
+                engine's samples, as `roll` takes them.
+        """
+        if step is None:
+            targets, _ = command_steps(targets, self._reach)
+        return self._law(drive, targets[:, :, drive], self._before(start, step or self.step)[drive])
+
+    def _before(self, target: Array, step: float) -> list[Delay]:
+        """For each drive the filter that gives its targets of a while ago, (nsim, u) rad until now."""
+        window = np.full(self.nsim, self._window)
+        return [Delay(window, step, target[:, i]) for i in range(len(self.plan.drives))]
 
     def _with_laws(self, laws: Laws, targets: Array, steps: CommandSteps | None) -> Array:
         """Simulations with laws between their steps, each by itself, in one compiled loop."""
@@ -225,7 +255,7 @@ class Engine:
                 for low, high in _stretches(edges, off.shape[1], within):
                     runner.switch(int(disabled[i, low]))
                     here = mine.at(low) if mine and low in within else None
-                    more = runner.push(here, controls[i, low], self._integral[i], self._torques) if here else None
+                    more = runner.push(here, controls[i, low], self._integral[i], self._step_torques) if here else None
                     at = runner.roll(laws, i, controls[i, low:high], targets[i, low:high], gain[i],
                                      self._ticks[i], self._integral[i], self.substeps, self.step,
                                      measured, LIMIT, raw[i, low:high])  # fmt: skip
@@ -274,13 +304,13 @@ class Engine:
                 last = min(high + 1, raw.shape[1])
                 raw[rows, low + 1 : last, column] = after[:, : last - low - 1]
 
-    def _law(self, channel: int, targets: Array) -> Array:
+    def _law(self, channel: int, targets: Array, earlier: Delay) -> Array:
         """(nsim, K) controls of a drive for its next targets (nsim, K), without what depends on the angle."""
         control = self._gain[channel][:, None] * targets
         lead = self._lead[channel]
         if lead is None or not lead.any():
             return control
-        change = np.nan_to_num(targets - self._earlier[channel](targets, targets))
+        change = np.nan_to_num(targets - earlier(targets, targets))
         return control + (LEAD_TIME / self._window) * lead[:, None] * change
 
     def advance(self, target: Array, seen: Array | None = None, steps: CommandSteps | None = None) -> None:
@@ -296,7 +326,7 @@ class Engine:
         base = []
         errors = self._seen_errors(target)
         for i, controller in enumerate(self._controllers):
-            control = self._law(i, target[:, i : i + 1])[:, 0]
+            control = self._law(i, target[:, i : i + 1], self._earlier[i])[:, 0]
             if controller:
                 error = errors[:, i]
                 control = control + controller.sample(np.where(off[:, i], 0.0, error) if self._any_off else error)

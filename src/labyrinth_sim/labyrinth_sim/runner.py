@@ -162,10 +162,11 @@ class Runner:
             control: (nu,) given in this sample, to which comes what `integral` (u,) makes of the errors so far.
         """
         axes = steps.axis
-        asked = control[torques.actuator[axes]] + np.clip(integral * self._sums, -MOST_SUM, MOST_SUM)[axes]
+        drives = torques.drives
+        asked = control[drives.actuator[axes]] + np.clip(integral * self._sums, -MOST_SUM, MOST_SUM)[axes]
         more = np.zeros(self.model.nv)
-        angle, speed = self.data.qpos[torques.qpos[axes]], self.data.qvel[torques.dof[axes]]
-        more[torques.dof[axes]] = torques(steps, asked, angle, speed)
+        angle, speed = self.data.qpos[drives.qpos[axes]], self.data.qvel[drives.dof[axes]]
+        more[drives.dof[axes]] = torques(steps, asked, angle, speed)
         self._torque += more
         return more
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labyrinth_sim.build import Placed, Plan, compiled, local_values
 from labyrinth_sim.effect import Filter, Values
+from labyrinth_sim.efforts import between, efforts_between, means_of, missed
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError, unknown_name
 from labyrinth_sim.filters import Chain, Map
@@ -35,6 +36,8 @@ class BatchResult:
         failed: (n, c) bool.
         messages: why, by (parameter set, command).
         steps: MuJoCo steps taken in all.
+        efforts: signal -> (n, c, T * parts), what drives give from the start of each part of a sample on, if that has
+            several.
     """
 
     signals: tuple[str, ...]
@@ -43,6 +46,7 @@ class BatchResult:
     failed: NDArray[np.bool_]
     messages: Mapping[tuple[int, int], str]
     steps: int
+    efforts: Mapping[str, Array]
 
 
 def simulate(
@@ -118,8 +122,7 @@ def simulate_batch(
     nthread: int = 0,
     progress: Callable[[int], None] | None = None,
     extrapolate: bool = False,
-    means: bool = False,
-    halves: ArrayLike | None = None,
+    parts: int | None = None,
 ) -> BatchResult:
     """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
 
@@ -128,7 +131,7 @@ def simulate_batch(
         names: k full parameter names.
         values: (n, k), in the declared units and bounds.
         time: (T,) s in even steps.
-        commands: (c, T, u) rad, held from each sample to the next; NaN where the drive is off.
+        commands: (c, T, u) rad, held from each sample to the next, or (c, T * parts, u); NaN where the drive is off.
         initial: signal -> (c,) at the first sample, NaN where unknown.
         per_command: full parameter name -> (c,), for what is known to differ between commands, as a gain set by hand.
         resting: (c, u) bool, axes that rest under their first command as it begins, and so carry their load; the others
@@ -139,11 +142,9 @@ def simulate_batch(
         nthread: 0 for one per CPU.
         progress: called with the number of finished simulations.
         extrapolate: also step half as far, and extrapolate the motion to steps of no length (Richardson 1911): what
-            MuJoCo's steps get wrong is of first order. Torques too, if there are `halves`; those under a command that
-            is held jump with it, and beside a jump both steps are wrong.
-        means: the commands are means over each sample, of commands that may change within it.
-        halves: (c, 2T, u) rad, such means over half samples, for the steps half as long. Without them these are held
-            at the mean of a whole sample, and efforts miss by what the command goes in half a step.
+            MuJoCo's steps get wrong is of first order.
+        parts: of each sample, over which the commands are means; they may change within it. One, or even. If more than
+            one, steps half as far take their own, and efforts are computed for each part, but not with a ball.
 
     Raises:
         InputError: everything that is wrong with the arguments.
@@ -151,22 +152,25 @@ def simulate_batch(
     grid, block = np.asarray(time, float), np.asarray(commands, float)
     table = np.atleast_2d(np.asarray(values, float))
     ball = with_ball if with_ball is not None else bool(initial) and any(s in (initial or {}) for s in BALL_SIGNALS)
-    finer = None if halves is None else np.asarray(halves, float)
-    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep, finer)
+    pieces = parts or 1
+    _check(model, names, table, grid, block, initial, per_command, resting, ball, timestep, pieces)
     n, c = len(table), len(block)
     step = float((grid[-1] - grid[0]) / (len(grid) - 1))
     even = even_timestep(step, timestep, model, ball)
-    plans = [compiled(model, ball, even / parts) for parts in ((1, 2) if extrapolate else (1,))]
+    plans = [compiled(model, ball, even / half) for half in ((1, 2) if extrapolate else (1,))]
     plan = plans[0]
-    asked = [(step, block), (step, block) if finer is None else (step / 2.0, finer)][: len(plans)]
+    shorter = 2 if pieces > 1 else 1
+    apart = [(step, pieces), (step / shorter, pieces // shorter)][: len(plans)]
     every = tuple(m.signal for m in model.rig.measured) + (BALL_SIGNALS if ball else ())
     unseen = [unknown_name("simulated signal", name, every) for name in signals or () if name not in every]
     if unseen:
         raise InputError(unseen)
     columns = [every.index(name) for name in (every if signals is None else signals)]
-    jumping = {m.signal for m in model.rig.measured if m.quantity == "torque"} if finer is None else set()
-    smooth = np.array([name not in jumping for name in every])
+    efforts = {} if ball or pieces == 1 else _efforts(model, plan, columns)
+    torques = [i for i, m in enumerate(model.rig.measured) if m.quantity == "torque"]
+    smooth = np.setdiff1d(np.arange(len(every)), torques)
     out = np.empty((n * c, len(grid), len(columns)))
+    within = np.empty((n * c, len(grid) * pieces, len(efforts)))
     messages: dict[tuple[int, int], str] = {}
     steps = done = 0
     sets, plays = np.divmod(np.arange(n * c), c)
@@ -174,7 +178,7 @@ def simulate_batch(
     every_number |= {name: table[sets, column] for column, name in enumerate(names)}
     every_number |= {name: np.asarray(given, float)[plays] for name, given in (per_command or {}).items()}
     holds = np.zeros((c, block.shape[2]), dtype=bool) if resting is None else np.asarray(resting, dtype=bool)
-    chunk = int(np.clip(BATCH_BYTES / (8 * len(grid) * (len(every) + block.shape[2])), 1, CHUNK))
+    chunk = int(np.clip(BATCH_BYTES / (8 * len(grid) * (len(every) + pieces * block.shape[2])), 1, CHUNK))
     for which in _groups(plan, every_number, n * c, chunk):
         numbers = {name: given[which] for name, given in every_number.items()}
         first = {name: np.broadcast_to(np.asarray(v, float), (c,))[plays[which]] for name, v in (initial or {}).items()}
@@ -185,22 +189,40 @@ def simulate_batch(
         own = {name: given[alone] for name, given in numbers.items()}
         owner = plays[which[alone]]
         start = {name: given[alone] for name, given in first.items()}
+        qpos, qvel = first_state(model, plan.mj, ball, len(alone), start)
+        before = rest_targets(plan, qpos, block[owner, 0], holds[owner])
+        filters, reached = command_filters(here[0], own, step / pieces, before, holds[owner])
+        targets = through(filters, block[owner])
         engines, rolled = [], []
-        for each, (apart, given) in zip(here, asked, strict=True):
-            engine = Engine(model, each, own, len(alone), apart, nthread)
-            motion = _roll_out(model, each, engine, own, apart, given[owner], start, holds[owner], means)
+        for each, (every_step, of_each) in zip(here, apart, strict=True):
+            engine = Engine(model, each, own, len(alone), every_step, nthread, bool(efforts))
+            engine.start(qpos, qvel, reached)
+            rolled.append(engine.roll(means_of(targets, of_each), parts is not None))
+            steps += len(alone) * round(engine.substeps * step / engine.step) * (len(grid) - 1)
             engines.append(engine)
-            rolled.append(motion[:, :: round(step / apart)])
-        raw = rolled[-1][shared]
+        raw = rolled[-1][:, :: round(step / apart[-1][0]), : len(every)].copy()
         if extrapolate:
-            raw[..., smooth] += (rolled[1] - rolled[0])[shared][..., smooth]
+            raw[..., smooth] += (raw - rolled[0][..., : len(every)])[..., smooth]
+        raw = raw[shared]
         seen = through(measure_filters(model, here[0], numbers, step, raw[:, 0]), raw)
         out[which] = seen[:, :, columns]
+        if efforts:
+            moved = rolled[-1][..., len(every) :]
+            motion = moved + missed(moved, rolled[0][..., len(every) :]) if extrapolate else moved
+            sensors = measure_filters(model, here[0], numbers, step / pieces, raw[:, 0])
+            around = between(raw, pieces) if any(sensors[column] for column in efforts) else raw
+            for number, (column, drive) in enumerate(efforts.items()):
+                own_columns = slice(2 * drive, 2 * drive + 2)
+                effort = efforts_between(
+                    engines[-1], drive, rolled[-1][..., column], moved[..., own_columns], motion[..., own_columns],
+                    targets, apart[-1][1], reached,
+                )  # fmt: skip
+                within[which, :, number] = Chain(*sensors[column])(effort[shared], around)
         for engine in engines:
-            out[which[engine.failed[shared]]] = np.nan
+            gone = which[engine.failed[shared]]
+            out[gone] = within[gone] = np.nan
             texts = [(i, engine.messages[int(k)]) for i, k in zip(which, shared, strict=True) if engine.failed[k]]
             messages |= {(int(sets[i]), int(plays[i])): text for i, text in texts}
-            steps += len(alone) * round(engine.substeps * step / engine.step) * (len(grid) - 1)
         done += len(which)
         if progress:
             progress(done)
@@ -210,7 +232,16 @@ def simulate_batch(
     answers: Array = out.reshape(n, c, len(grid), len(columns))
     answers.setflags(write=False)
     chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
-    return BatchResult(chosen, units, answers, failed, messages, steps)
+    named = {every[column]: within[:, :, number].reshape(n, c, -1) for number, column in enumerate(efforts)}
+    return BatchResult(chosen, units, answers, failed, messages, steps, named)
+
+
+def _efforts(model: Model, plan: Plan, columns: Sequence[int]) -> dict[int, int]:
+    """Of the efforts among these columns of what is measured, the column -> the number of the drive that gives it."""
+    drives = {int(site.dof): number for number, (_, _, site) in enumerate(plan.drives)}
+    dofs = {column: int(plan.mj.joint(m.joint).dofadr[0]) for column, m in enumerate(model.rig.measured)
+            if m.quantity == "torque" and column in columns}  # fmt: skip
+    return {column: drives[dof] for column, dof in dofs.items() if dof in drives}
 
 
 def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int, chunk: int) -> Iterator[NDArray[np.int64]]:
@@ -234,24 +265,6 @@ def _moving_differently(
     table = np.column_stack([plays, *first.values(), *(given for given in parts if np.ptp(given) > 0.0)])
     _, alone, shared = np.unique(table, axis=0, return_index=True, return_inverse=True, equal_nan=True)
     return alone, np.ravel(shared)
-
-
-def _roll_out(
-    model: Model,
-    plan: Plan,
-    engine: Engine,
-    numbers: Mapping[str, Array],
-    step: float,
-    commands: Array,
-    first: Mapping[str, Array],
-    resting: NDArray[np.bool_],
-    means: bool,
-) -> Array:
-    qpos, qvel = first_state(model, plan.mj, plan.with_ball, engine.nsim, first)
-    start = rest_targets(plan, qpos, commands[:, 0], resting)
-    filters, reached = command_filters(plan, numbers, step, start, resting)
-    engine.start(qpos, qvel, reached)
-    return engine.roll(through(filters, commands), means)
 
 
 def rest_targets(plan: Plan, qpos: Array, first: Array, resting: NDArray[np.bool_] | bool = False) -> Array:
@@ -288,7 +301,7 @@ def _check(
     resting: ArrayLike | None,
     ball: bool,
     timestep: float | None,
-    finer: Array | None,
+    pieces: int,
 ) -> None:
     known = model.parameters()
     complaints = [unknown_name("parameter", n, known) for n in (*names, *(per_command or {})) if n not in known]
@@ -313,13 +326,13 @@ def _check(
     u = len(model.rig.axes)
     if grid.ndim != 1 or len(grid) < 2 or not np.allclose(np.diff(grid), np.diff(grid).mean(), rtol=1e-6, atol=1e-9):
         complaints.append(f"time must be (T,) with T >= 2 even steps, got shape {grid.shape}. Resample first.")
-    elif block.ndim != 3 or block.shape[1:] != (len(grid), u):
+    elif block.ndim != 3 or block.shape[1:] != (len(grid) * pieces, u):
         complaints.append(
-            f"commands must have shape (c, {len(grid)}, {u}) for {', '.join(model.rig.command_channels)}, "
+            f"commands must have shape (c, {len(grid) * pieces}, {u}) for {', '.join(model.rig.command_channels)}, "
             f"got {block.shape}."
         )
-    elif finer is not None and finer.shape != (len(block), 2 * len(grid), u):
-        complaints.append(f"halves must have shape ({len(block)}, {2 * len(grid)}, {u}), got {finer.shape}.")
+    if pieces < 1 or (pieces > 1 and pieces % 2):
+        complaints.append(f"parts must be 1 or even, got {pieces}.")
     if np.isinf(block).any():
         complaints.append("commands must be finite, or NaN where the drive is off.")
     valid = model.rig.signals

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.first_state import first_state
 from labyrinth_sim.model import Model, load_model
-from labyrinth_sim.simulate import numbers_of, rest_targets, simulate, simulate_batch
+from labyrinth_sim.simulate import BatchResult, numbers_of, rest_targets, simulate, simulate_batch
 from labyrinth_sim.stepping import Stepper
 
 TIME = np.arange(151) * 0.01
@@ -162,27 +161,89 @@ def test_the_effort_of_an_extrapolated_ramp_is_the_friction(model: Model, effect
     def ramp(time: np.ndarray, step: float) -> np.ndarray:
         return np.tile(0.08 * (time[:, None] + step / 2.0), 2)
 
-    halves, often = np.arange(2 * len(TIME)) * 0.005, np.arange(20 * (len(TIME) - 1) + 1) * 0.0005
+    parts, often = np.arange(4 * len(TIME)) * 0.0025, np.arange(20 * (len(TIME) - 1) + 1) * 0.0005
     seen = simulate_batch(
-        bare, (), np.empty((1, 0)), TIME, ramp(TIME, 0.01)[None], signals=("motor_x_effort",), timestep=0.01,
-        extrapolate=True, means=True, halves=ramp(halves, 0.005)[None],
+        bare, (), np.empty((1, 0)), TIME, ramp(parts, 0.0025)[None], signals=("motor_x_effort",), timestep=0.01,
+        extrapolate=True, parts=4,
     )  # fmt: skip
     exact = simulate(bare, often, ramp(often, 0.0005))
     wanted = exact.values[0, often > 0.75, exact.index("motor_x_effort")]
-    assert np.mean(seen.values[0, 0, TIME > 0.75, 0]) == pytest.approx(np.mean(wanted), abs=0.003)
+    assert np.mean(seen.efforts["motor_x_effort"][0, 0, parts > 0.75]) == pytest.approx(np.mean(wanted), abs=0.003)
 
 
-def test_torques_under_a_held_command_are_those_of_the_shorter_steps(model: Model, commands: np.ndarray) -> None:
-    def at(step: float, **more: Any) -> np.ndarray:
-        seen = simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None], timestep=step, **more)
+def test_only_motion_is_extrapolated(model: Model, commands: np.ndarray) -> None:
+    def at(step: float, extrapolate: bool = False) -> np.ndarray:
+        seen = simulate_batch(model, (), np.empty((1, 0)), TIME, commands[None], timestep=step, extrapolate=extrapolate)
+        assert not seen.efforts
         return np.asarray(seen.values[0, 0])
 
     torque = np.array([m.quantity == "torque" for m in model.rig.measured])
     short, long, extrapolated = at(0.00125), at(0.0025), at(0.0025, extrapolate=True)
     assert np.allclose(extrapolated[:, ~torque], (2.0 * short - long)[:, ~torque], atol=1e-12)
     assert np.array_equal(extrapolated[:, torque], short[:, torque])
-    own = at(0.0025, extrapolate=True, means=True, halves=np.repeat(commands, 2, axis=0)[None])
-    assert np.abs(own - extrapolated)[:, torque].max() > 1e-3
+
+
+EFFORT_STEP, FINE = 0.0025, 0.0001  # s
+HELD_FOR = 0.01  # s, of each command, the first of which begins within a step
+WITHIN = 0.0033
+
+
+@pytest.mark.parametrize(
+    ("values", "effect"),
+    [
+        ({}, ""),
+        ({"drive.x.d": 3.0, "drive.x.i": 5.0}, ""),
+        ({"drive.x.torque": 0.05}, ""),  # saturated much of the time
+        ({}, "viscous_friction"),
+        ({}, "load_friction"),  # laws between the steps
+        ({"drive.x.torque": 0.3, "supply_sag.x.sag": 5.0}, "supply_sag"),  # a lower limit than the servo's
+    ],
+)
+def test_efforts_between_steps_are_those_of_fine_steps(model: Model, values: dict[str, float], effect: str) -> None:
+    stiff = model.with_effect(effect, "x") if effect else model
+    stiff = stiff.with_values({"drive.x.p": 20.0, "drive.x.delay": 0.0112, **values})
+
+    def commands(time: np.ndarray) -> np.ndarray:
+        held = HELD_FOR * np.floor((time - WITHIN) / HELD_FOR + 1e-9) + WITHIN
+        return np.tile(np.where(time < WITHIN, 0.0, 0.05 * np.sin(5.0 * held))[:, None], 2)
+
+    def rolled(step: float, parts: int, extrapolate: bool) -> BatchResult:
+        time = np.arange(round(1.5 / step) + 1) * step
+        often = (np.arange(len(time) * parts * 50) + 0.5) * step / parts / 50.0
+        means = commands(often).reshape(len(time) * parts, 50, 2).mean(axis=1)
+        return simulate_batch(
+            stiff, (), np.empty((1, 0)), time, means[None], signals=("motor_x", "motor_x_effort"), timestep=step,
+            extrapolate=extrapolate, parts=parts,
+        )  # fmt: skip
+
+    coarse, fine = rolled(EFFORT_STEP, 8, True), rolled(FINE, 1, False)
+    efforts = coarse.efforts["motor_x_effort"][0, 0]
+    time = np.arange(len(efforts)) * EFFORT_STEP / 8.0
+    every = np.arange(fine.values.shape[2]) * FINE
+    apart = np.abs((time - WITHIN - 0.0112 + HELD_FOR / 2.0) % HELD_FOR - HELD_FOR / 2.0)
+    clear = (time > 0.05) & (time < 1.49) & (apart > 0.0004)  # where no part has a jump in it
+    exact = np.interp(time, every, fine.values[0, 0, :, 1])
+    steps = np.arange(coarse.values.shape[2]) * EFFORT_STEP
+    held = np.interp(time, steps, coarse.values[0, 0, :, 1])
+    error, before = (float(np.sqrt(np.mean((seen - exact)[clear] ** 2))) for seen in (efforts, held))
+    assert error < 0.25 * before
+
+
+def test_efforts_between_steps_are_none_where_the_drive_is_off(model: Model) -> None:
+    parts = np.tile(0.05 * np.sin(5.0 * np.arange(4 * len(TIME)) * 0.0025)[:, None], 2)
+    parts[200:260, 0] = np.nan
+    seen = simulate_batch(model, (), np.empty((1, 0)), TIME, parts[None], extrapolate=True, parts=4)
+    assert set(seen.efforts) == {"motor_x_effort", "motor_y_effort"}
+    effort = seen.efforts["motor_x_effort"][0, 0]
+    (none,) = np.nonzero(effort[100:] == 0.0)
+    assert len(none) == np.ptp(none) + 1 == 60  # later by the drive's delay
+
+
+def test_a_sample_has_one_part_or_an_even_number_of_them(model: Model) -> None:
+    with pytest.raises(InputError, match="parts must be 1 or even, got 3"):
+        simulate_batch(model, (), np.empty((1, 0)), TIME, np.zeros((1, 3 * len(TIME), 2)), parts=3)
+    with pytest.raises(InputError, match=r"commands must have shape \(c, 604, 2\)"):
+        simulate_batch(model, (), np.empty((1, 0)), TIME, np.zeros((1, len(TIME), 2)), parts=4)
 
 
 def test_a_drive_switched_off_lets_go(model: Model) -> None:
@@ -286,16 +347,16 @@ def test_a_step_within_a_sample_counts_as_long_as_it_acts_though_the_drive_satur
     delays = np.arange(0.010, 0.015, 0.0005)[:, None]
     step, fine = 0.005, 0.0005
 
-    def moved(every: float, means: bool) -> np.ndarray:
+    def moved(every: float, parts: int | None) -> np.ndarray:
         time = np.arange(round(0.4 / every) + 1) * every
         sent = np.where(time >= 0.05 - 1e-9, 1.0, 0.0)[None, :, None]
-        found = simulate_batch(given, ["drive.pendulum.delay"], delays, time, sent, timestep=fine, means=means)
+        found = simulate_batch(given, ["drive.pendulum.delay"], delays, time, sent, timestep=fine, parts=parts)
         return found.values[:, 0, :: round(step / every), 0]
 
-    exact = moved(fine, False)
-    off = [float(np.abs(moved(step, means) - exact).max()) for means in (True, False)]
+    exact = moved(fine, None)
+    off = [float(np.abs(moved(step, parts) - exact).max()) for parts in (1, None)]
     assert off[0] < 0.005 < 0.15 * off[1]
-    assert np.array_equal(moved(step, True)[0], moved(step, False)[0])  # here every sample holds all of a command
+    assert np.array_equal(moved(step, 1)[0], moved(step, None)[0])  # here every sample holds all of a command
 
 
 SATURATED = {
@@ -319,8 +380,8 @@ def test_a_drive_that_gives_all_it_has_turns_around_within_a_sample(name: str, l
         turns = np.floor((time + 1e-9) / 0.06)
         sent = np.where(turns < 1, 0.0, np.where(turns % 2 == 1, 1.0, -1.0))[None, :, None]
         found = simulate_batch(
-            given, [f"drive.{name}.delay"], delays, time, sent, timestep=every, means=every == step,
-            extrapolate=True,
+            given, [f"drive.{name}.delay"], delays, time, sent, timestep=every, extrapolate=True,
+            parts=1 if every == step else None,
         )  # fmt: skip
         return found.values[:, 0, :: round(step / every), 0]
 
@@ -335,8 +396,8 @@ def test_a_ramp_is_no_step_however_fast_for_a_stiff_drive() -> None:
     time = step * np.arange(400)
     ramp = (slope * (time + step / 2.0))[None, :, None]  # the mean over each sample
     found = [
-        simulate_batch(given, (), np.empty((1, 0)), time, ramp, timestep=step, means=means).values
-        for means in (True, False)
+        simulate_batch(given, (), np.empty((1, 0)), time, ramp, timestep=step, parts=parts).values
+        for parts in (1, None)
     ]
     assert found[0] == pytest.approx(found[1], abs=1e-12)
 

@@ -235,7 +235,7 @@ class Playing:
             self._tracer.into(self.model), (*self.free, self._forces.name), np.append(self.values, 1.0)[None],
             evidence.times(0), evidence.commands[0][None], evidence.initial[0],
             per_command=evidence.known, resting=evidence.resting[0],
-            signals=self.signals, timestep=evidence.step(0), nthread=1, means=True,
+            signals=self.signals, timestep=evidence.step(0), nthread=1, parts=1,
         )  # fmt: skip
         seen = self._tracer.taken()[:count]
         angle, speed, load, drive, other = seen.T

@@ -19,7 +19,7 @@ from eps_tunnel_analysis.fit.cluster import Spread
 from eps_tunnel_analysis.fit.problem import Residuals, copied
 from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.simulated import axes_at_rest, first_pose, known_values
-from eps_tunnel_analysis.stamped import CYCLE, Readings, StampedTrial, aligned, readings, setpoints
+from eps_tunnel_analysis.stamped import Readings, StampedTrial, aligned, readings, setpoints
 from labyrinth_sim.model import Model
 from labyrinth_sim.rig import BALL_SIGNALS
 from labyrinth_sim.simulate import simulate_batch
@@ -28,6 +28,7 @@ from labyrinth_sim.trials import Array
 LONGER = 0.05  # share by which a step may be longer than asked for
 STILL = 0.5  # s after a command, from which on a rig counts as at rest
 NARROWEST = 0.005  # s, of a bin; faster motion falls into one bin
+PART = 6.25e-4  # s, about, of the parts of a step for which drives' efforts are computed, which jump with commands
 
 
 @dataclass(frozen=True)
@@ -182,15 +183,31 @@ class Evidence:
         """(K,) s, a play's simulation grid."""
         return np.asarray(self.step(play) * np.arange(self.count(play)), dtype=np.float64)
 
+    def parts(self, play: int) -> int:
+        """Of a step of a play's simulation grid, for which commands act and efforts are computed."""
+        return max(2, 2 * round(self.step(play) / PART / 2.0))
+
+    @cached_property
+    def _efforts(self) -> set[str]:
+        """Signals that are efforts of drives."""
+        driven = {axis.joint for axis in self.model.rig.axes}
+        return {m.signal for m in self.model.rig.measured if m.quantity == "torque" and m.joint in driven}
+
     @cached_property
     def _readings(self) -> list[list[Readings]]:
-        return [
-            [
-                readings([t.signals[name] for t in p.trials], p.seconds, self.step(i), self.count(i), p.width)
-                for name in self.signals
-            ]
-            for i, p in enumerate(self.plays)
-        ]
+        return [[self._reading(play, name) for name in self.signals] for play in range(len(self.plays))]
+
+    def _reading(self, number: int, name: str) -> Readings:
+        play, step, count, parts = self.plays[number], self.step(number), self.count(number), self.parts(number)
+        series = [trial.signals[name] for trial in play.trials]
+        if name in self._efforts and not self._rolls:  # it jumps: read on straight lines from part to part
+            return readings(series, play.seconds, step / parts, count * parts, play.width, straight=True)
+        return readings(series, play.seconds, step, count, play.width)
+
+    @property
+    def _rolls(self) -> bool:
+        """Whether the ball is simulated."""
+        return any(name in BALL_SIGNALS for pose in self.initial for name in pose)
 
     @cached_property
     def commands(self) -> list[Array]:
@@ -198,16 +215,9 @@ class Evidence:
         return [self._setpoints(play, 1) for play in range(len(self.plays))]
 
     @cached_property
-    def _halves(self) -> list[Array | None]:
-        """For each play (1, 2K, u) rad, the setpoint during each half of a step of its grid; None where a command is
-        held for longer than a step anyway, or nothing is extrapolated.
-        """
-        found: list[Array | None] = []
-        for i, play in enumerate(self.plays):
-            every = min((c.interval for trial in play.trials for c in trial.commands.values()), default=np.inf)
-            often = every < max((1.0 - LONGER) * self.step(i), CYCLE)
-            found.append(self._setpoints(i, 2)[None] if often and self.extrapolate else None)
-        return found
+    def _within(self) -> list[Array]:
+        """For each play (1, K * parts, u) rad, the same for each part of a step."""
+        return [self._setpoints(play, self.parts(play))[None] for play in range(len(self.plays))]
 
     def _setpoints(self, play: int, parts: int) -> Array:
         """(K * parts, u) rad, the setpoint during each part of a step of a play's grid."""
@@ -251,14 +261,15 @@ class Evidence:
         parts = []
         for number in range(len(self.plays)):
             result = simulate_batch(
-                self.model, self.free, table, self.times(number), self.commands[number][None],
+                self.model, self.free, table, self.times(number), self._within[number],
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
-                extrapolate=self.extrapolate, means=True, halves=self._halves[number],
+                extrapolate=self.extrapolate, parts=self.parts(number),
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
-                seen = result.values[:, 0, :, column]
+                name = self.signals[column]
+                seen = result.efforts[name][:, 0] if name in result.efforts else result.values[:, 0, :, column]
                 parts.append(np.asarray((bins.reading @ seen.T).T) - bins.mean)
         return np.concatenate(parts, axis=1)
 

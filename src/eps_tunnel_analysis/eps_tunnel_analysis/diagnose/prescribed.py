@@ -88,7 +88,7 @@ def measured_courses(evidence: Evidence, values: Array, signals: Collection[str]
         simulated = simulate_batch(
             bare, [evidence.free[i] for i in kept], values[None, kept], time, evidence.commands[number][None],
             evidence.initial[number], per_command={name: given[[number]] for name, given in known.items()},
-            resting=evidence.resting[number], signals=evidence.signals, timestep=evidence.step(number), means=True,
+            resting=evidence.resting[number], signals=evidence.signals, timestep=evidence.step(number), parts=1,
         ).values[0, 0]  # fmt: skip
         for signal in signals:
             column = evidence.signals.index(signal)
