@@ -60,7 +60,7 @@ def test_a_general_form_takes_over_what_it_had_left_to_a_simple_one(search: Sear
     values = profiled(search, **REAL).values.copy()
     values[search.columns(search.library.find(PROFILE))[1]] = 200.0
     values[search.columns(search.library.find(LIMIT))] = REAL["speed"]
-    (both,) = search.refit([(search.library.of([PROFILE, LIMIT]), values)], 0)
+    (both,) = search.refit([(search.library.of([PROFILE, LIMIT]), values)], 12)
     assert both.cost < 0.5 * stuck.cost
     found = {r.effects: r for r in with_fewer_again(search, base, [both, stuck])[1]}[(PROFILE,)]
     assert own_values(search, [found])[1] == pytest.approx(REAL["speed"], rel=0.05)

@@ -76,3 +76,9 @@ def test_longer_steps_tell_efforts_as_shorter_ones_do(search: Search, every: flo
     scale[search.used] = search.scale
     assert used.sum() > 100
     assert np.mean((off / scale)[used] ** 2) < 1e-3
+
+
+def test_plain_steps_keep_their_own_efforts(search: Search) -> None:
+    """Else what they get wrong of the motion would show in efforts times the drive's stiffness."""
+    assert [search.levels[level].parts(0) for level in ("coarse", "own")] == [1, 1]
+    assert search.levels["fine"].parts(0) > 1

@@ -184,8 +184,11 @@ class Evidence:
         return np.asarray(self.step(play) * np.arange(self.count(play)), dtype=np.float64)
 
     def parts(self, play: int) -> int:
-        """Of a step of a play's simulation grid, for which commands act and efforts are computed."""
-        return max(2, 2 * round(self.step(play) / PART / 2.0))
+        """Of a step of a play's simulation grid, for which commands act and efforts are computed.
+
+        Only of extrapolated ones: what steps get wrong of the motion would count against a target at its true time.
+        """
+        return max(2, 2 * round(self.step(play) / PART / 2.0)) if self.extrapolate else 1
 
     @cached_property
     def _efforts(self) -> set[str]:
@@ -200,7 +203,8 @@ class Evidence:
     def _reading(self, number: int, name: str) -> Readings:
         play, step, count, parts = self.plays[number], self.step(number), self.count(number), self.parts(number)
         series = [trial.signals[name] for trial in play.trials]
-        if name in self._efforts and not self._rolls:  # it jumps: read on straight lines from part to part
+        # It jumps: read on straight lines from part to part.
+        if parts > 1 and name in self._efforts and not self._rolls:
             return readings(series, play.seconds, step / parts, count * parts, play.width, straight=True)
         return readings(series, play.seconds, step, count, play.width)
 
