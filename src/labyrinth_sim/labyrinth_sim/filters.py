@@ -84,37 +84,24 @@ class Delay:
 
     def __init__(self, delay: Array, step: float, start: Array, smooth: bool = False) -> None:
         whole = np.floor(delay / step + 1e-9)
-        self.back = whole.astype(np.int64)
-        self.part = np.maximum(delay / step - whole, 0.0)
+        self.back = whole.astype(int)[:, None]
+        self.part = np.maximum(delay / step - whole, 0.0)[:, None]
         self.past = np.repeat(np.asarray(start, float)[:, None], int(self.back.max(initial=0)) + 2, axis=1)
-        self.bent = 0.5 * self.part * (self.part - 1.0) if smooth else np.zeros_like(self.part)
+        self.bent = 0.5 * self.part * (self.part - 1.0) if smooth else None
 
     def __call__(self, own: Array, every: Array) -> Array:
         depth = self.past.shape[1]
         stream = np.concatenate([self.past, own], axis=1)
+        here = np.arange(depth, depth + own.shape[1])[None, :] - self.back
+        newer = np.take_along_axis(stream, here, axis=1)
+        older = np.take_along_axis(stream, here - 1, axis=1)
         self.past = stream[:, -depth:]
-        return np.asarray(_delayed(stream, depth - self.back, self.part, self.bent, own.shape[1]))
-
-
-@numba.njit(cache=CACHED, error_model="numpy")  # type: ignore[untyped-decorator]
-def _delayed(stream: Array, first: NDArray[np.int64], part: Array, bent: Array, samples: int) -> Array:
-    """The samples that `Delay` gives of streams, of which `first` (nsim,) is the one without that part of a step."""
-    out = np.empty((len(stream), samples))
-    for i in range(len(stream)):
-        for k in range(samples):
-            here = first[i] + k
-            newer, older = stream[i, here], stream[i, here - 1]
-            if part[i] == 0.0:
-                out[i, k] = newer
-                continue
-            mixed = (1.0 - part[i]) * newer + part[i] * older
-            if bent[i] != 0.0:
-                more = bent[i] * (newer - 2.0 * older + stream[i, here - 2])
-                mixed += 0.0 if np.isnan(more) else more
-            if np.isnan(mixed):
-                mixed = newer if part[i] < 0.5 else older
-            out[i, k] = mixed
-    return out
+        mixed = (1.0 - self.part) * newer + self.part * older
+        if self.bent is not None:
+            oldest = np.take_along_axis(stream, here - 2, axis=1)
+            mixed += np.nan_to_num(self.bent * (newer - 2.0 * older + oldest))
+        mixed = np.where(self.part == 0.0, newer, mixed)
+        return np.where(np.isnan(mixed), np.where(self.part < 0.5, newer, older), mixed)
 
 
 class Lag:
