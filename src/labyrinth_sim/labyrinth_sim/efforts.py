@@ -40,17 +40,16 @@ def _means(values: Array, parts: int) -> Array:
 
 @numba.njit(cache=CACHED, error_model="numpy")  # type: ignore[untyped-decorator]
 def _at_starts(targets: Array) -> Array:
-    """(n, K, u) targets at the start of each part over which these are means, a jump being over.
+    """(n, K) targets at the start of each part over which these are means, a jump being over.
 
     Half the change from part to part earlier than the mean, where they change on both sides; of a jump only one does.
     """
     out = targets.copy()
     for i in range(targets.shape[0]):
         for k in range(1, targets.shape[1] - 1):
-            for u in range(targets.shape[2]):
-                before, after = targets[i, k, u] - targets[i, k - 1, u], targets[i, k + 1, u] - targets[i, k, u]
-                if before * after > 0.0:  # not so where one is NaN
-                    out[i, k, u] -= 0.5 * (before if abs(before) < abs(after) else after)
+            before, after = targets[i, k] - targets[i, k - 1], targets[i, k + 1] - targets[i, k]
+            if before * after > 0.0:  # not so where one is NaN
+                out[i, k] -= 0.5 * (before if abs(before) < abs(after) else after)
     return out
 
 
@@ -74,7 +73,7 @@ def missed(short: Array, long: Array) -> Array:
 
 
 def efforts_between(
-    engine: Engine, drive: int, effort: Array, moved: Array, motion: Array, targets: Array, parts: int, start: Array
+    engine: Engine, drive: int, effort: Array, moved: Array, motion: Array, own: Array, targets: Array, start: Array
 ) -> Array:
     """(n, T * parts) N m, the effort of a drive from the start of each part of a step on.
 
@@ -84,10 +83,11 @@ def efforts_between(
         effort: (n, T) N m, at the beginning of each step,
         moved: (n, T, 2) rad, rad/s, and the angle and speed there as they were rolled out,
         motion: (n, T, 2) and as they are corrected.
-        targets: (n, T * parts, u) rad, what the drives see during each part of a step; NaN where one is off.
-        start: (n, u) rad, the targets before.
+        own: (n, T) rad, what the drive saw during each step, NaN where it was off,
+        targets: (n, T * parts) rad, and what it sees during each part of one.
+        start: (n,) rad, its target before.
     """
-    own = means_of(targets, parts)
+    parts = targets.shape[1] // own.shape[1]
     of_steps = engine.asked(drive, own, start)
     of_parts = engine.asked(drive, _at_starts(targets), start, engine.step / parts)
     return np.asarray(_between(engine.torques.laws[:, drive], effort, moved, motion, of_steps, of_parts, parts))

@@ -129,7 +129,7 @@ class Engine:
         """
         self.batch.bind("qpos")[...] = qpos
         self.batch.bind("qvel")[...] = qvel
-        self._earlier = self._before(target, self.step)
+        self._earlier = [self._before(own, self.step) for own in target.T]
         if (self._every_step or self.plan.with_ball) and not (self._laws and self._whole):
             self._run(lambda ids: self.batch.forward(ids))
 
@@ -218,22 +218,21 @@ class Engine:
         return control
 
     def asked(self, drive: int, targets: Array, start: Array, step: float | None = None) -> Array:
-        """(nsim, K) controls of a drive for targets (nsim, K, u) rad, NaN where it is off, without what depends on the
+        """(nsim, K) controls of a drive for its targets (nsim, K) rad, NaN where it is off, without what depends on the
         angle.
 
         Args:
-            start: (nsim, u) rad, the targets until then.
-            step: s between the targets, each of which is what a drive sees at its time; None for the means over this
+            start: (nsim,) rad, the target until then.
+            step: s between the targets, each of which is what the drive sees at its time; None for the means over this
                 engine's samples, as `roll` takes them.
         """
         if step is None:
-            targets, _ = command_steps(targets, self._reach)
-        return self._law(drive, targets[:, :, drive], self._before(start, step or self.step)[drive])
+            targets = command_steps(targets[:, :, None], [self._reach[drive]])[0][:, :, 0]
+        return self._law(drive, targets, self._before(start, step or self.step))
 
-    def _before(self, target: Array, step: float) -> list[Delay]:
-        """For each drive the filter that gives its targets of a while ago, (nsim, u) rad until now."""
-        window = np.full(self.nsim, self._window)
-        return [Delay(window, step, target[:, i]) for i in range(len(self.plan.drives))]
+    def _before(self, target: Array, step: float) -> Delay:
+        """The filter that gives a drive's target of a while ago, (nsim,) rad until now."""
+        return Delay(np.full(self.nsim, self._window), step, target)
 
     def _with_laws(self, laws: Laws, targets: Array, steps: CommandSteps | None) -> Array:
         """Simulations with laws between their steps, each by itself, in one compiled loop."""

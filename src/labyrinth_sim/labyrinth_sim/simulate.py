@@ -193,11 +193,12 @@ def simulate_batch(
         before = rest_targets(plan, qpos, block[owner, 0], holds[owner])
         filters, reached = command_filters(here[0], own, step / pieces, before, holds[owner])
         targets = through(filters, block[owner])
-        engines, rolled = [], []
+        engines, told, rolled = [], [], []
         for each, (every_step, of_each) in zip(here, apart, strict=True):
             engine = Engine(model, each, own, len(alone), every_step, nthread, bool(efforts))
             engine.start(qpos, qvel, reached)
-            rolled.append(engine.roll(means_of(targets, of_each), parts is not None))
+            told.append(means_of(targets, of_each))
+            rolled.append(engine.roll(told[-1], parts is not None))
             steps += len(alone) * round(engine.substeps * step / engine.step) * (len(grid) - 1)
             engines.append(engine)
         raw = rolled[-1][:, :: round(step / apart[-1][0]), : len(every)].copy()
@@ -215,7 +216,7 @@ def simulate_batch(
                 own_columns = slice(2 * drive, 2 * drive + 2)
                 effort = efforts_between(
                     engines[-1], drive, rolled[-1][..., column], moved[..., own_columns], motion[..., own_columns],
-                    targets, apart[-1][1], reached,
+                    told[-1][..., drive], targets[..., drive], reached[:, drive],
                 )  # fmt: skip
                 within[which, :, number] = Chain(*sensors[column])(effort[shared], around)
         for engine in engines:
