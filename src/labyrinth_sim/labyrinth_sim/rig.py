@@ -164,6 +164,12 @@ class Rig:
         return tuple(signal for axis in self.axes for signal in axis.positions)
 
     @property
+    def efforts(self) -> dict[str, int]:
+        """Of the signals that are efforts of drives, each one's -> the number of its axis."""
+        driven = {axis.joint: number for number, axis in enumerate(self.axes)}
+        return {m.signal: driven[m.joint] for m in self.measured if m.quantity == "torque" and m.joint in driven}
+
+    @property
     def signals(self) -> tuple[str, ...]:
         """Every signal of the rig, the ball's last."""
         return tuple(m.signal for m in self.measured) + (BALL_SIGNALS if self.ball else ())

@@ -166,7 +166,8 @@ def simulate_batch(
     if unseen:
         raise InputError(unseen)
     columns = [every.index(name) for name in (every if signals is None else signals)]
-    efforts = {} if ball or pieces == 1 else _efforts(model, plan, columns)
+    asked = {} if ball or pieces == 1 else model.rig.efforts
+    efforts = {every.index(name): drive for name, drive in asked.items() if every.index(name) in columns}
     torques = [i for i, m in enumerate(model.rig.measured) if m.quantity == "torque"]
     smooth = np.setdiff1d(np.arange(len(every)), torques)
     out = np.empty((n * c, len(grid), len(columns)))
@@ -235,14 +236,6 @@ def simulate_batch(
     chosen, units = tuple(every[i] for i in columns), tuple(model.rig.units[i] for i in columns)
     named = {every[column]: within[:, :, number].reshape(n, c, -1) for number, column in enumerate(efforts)}
     return BatchResult(chosen, units, answers, failed, messages, steps, named)
-
-
-def _efforts(model: Model, plan: Plan, columns: Sequence[int]) -> dict[int, int]:
-    """Of the efforts among these columns of what is measured, the column -> the number of the drive that gives it."""
-    drives = {int(site.dof): number for number, (_, _, site) in enumerate(plan.drives)}
-    dofs = {column: int(plan.mj.joint(m.joint).dofadr[0]) for column, m in enumerate(model.rig.measured)
-            if m.quantity == "torque" and column in columns}  # fmt: skip
-    return {column: drives[dof] for column, dof in dofs.items() if dof in drives}
 
 
 def _groups(plan: Plan, numbers: Mapping[str, Array], nsim: int, chunk: int) -> Iterator[NDArray[np.int64]]:

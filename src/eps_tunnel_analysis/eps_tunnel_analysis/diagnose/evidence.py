@@ -191,12 +191,6 @@ class Evidence:
         return max(2, 2 * round(self.step(play) / PART / 2.0)) if self.extrapolate else 1
 
     @cached_property
-    def _efforts(self) -> set[str]:
-        """Signals that are efforts of drives."""
-        driven = {axis.joint for axis in self.model.rig.axes}
-        return {m.signal for m in self.model.rig.measured if m.quantity == "torque" and m.joint in driven}
-
-    @cached_property
     def _readings(self) -> list[list[Readings]]:
         return [[self._reading(play, name) for name in self.signals] for play in range(len(self.plays))]
 
@@ -204,7 +198,7 @@ class Evidence:
         play, step, count, parts = self.plays[number], self.step(number), self.count(number), self.parts(number)
         series = [trial.signals[name] for trial in play.trials]
         # It jumps: read on straight lines from part to part.
-        if parts > 1 and name in self._efforts and not self._rolls:
+        if parts > 1 and name in self.model.rig.efforts and not self._rolls:
             return readings(series, play.seconds, step / parts, count * parts, play.width, straight=True)
         return readings(series, play.seconds, step, count, play.width)
 
