@@ -13,6 +13,7 @@ from small_recordings import write_rig
 from eps_tunnel_analysis.diagnose.axis_search import AxisPart, SearchOptions, axis_parts, axis_search
 from eps_tunnel_analysis.diagnose.candidates import Candidate, library, starts
 from eps_tunnel_analysis.diagnose.ticks import MOST_TICKS, PART_OF_A_TICK, every_tick
+from eps_tunnel_analysis.diagnose.waves import MOST_PERIODS, PART_OF_A_WAVE, every_period
 from eps_tunnel_analysis.stamped import Series
 from labyrinth_sim.errors import InputError
 from labyrinth_sim.model import load_model
@@ -76,6 +77,13 @@ def test_all_ticks_lie_a_part_of_one_apart_over_the_reach_of_a_command() -> None
     assert tried.max() == pytest.approx(0.05)
     assert len(every_tick(0.4, 1e-9, 0.05)) == MOST_TICKS
     assert not len(every_tick(0.4, 0.5, 0.05)), "coarser than the reach: no tick rounds so little"
+
+
+def test_periods_are_evenly_spaced_in_how_many_of_them_a_command_spans() -> None:
+    tried = every_period(0.4, 0.02, 2.0)
+    assert np.diff(0.4 / tried) == pytest.approx(PART_OF_A_WAVE)
+    assert tried[0] == 2.0 and 0.02 <= tried[-1] < 0.4 / (20.0 - PART_OF_A_WAVE)
+    assert len(every_period(0.4, 1e-6, 2.0)) == MOST_PERIODS
 
 
 def test_the_known_tick_of_an_axis_is_not_that_of_a_sensor_of_the_same_name(tmp_path: Path) -> None:

@@ -158,7 +158,9 @@ def test_any_effect_may_replace_one_of_two_and_only_a_rival_one_alone_or_one_of_
 ) -> None:  # fmt: skip
     looked: set[str] = set()
     monkeypatch.setattr(search, "exhaustive", exhaustive)
-    monkeypatch.setattr(search, "trial_points", lambda _, candidates: looked.update(c.name for c in candidates) or [])
+    monkeypatch.setattr(
+        search, "trial_points", lambda _, candidates, *__: looked.update(c.name for c in candidates) or []
+    )
     rival_refits(search, found(3.0, FRICTION, *others), [])
     quick = {c.name for c in search.library.candidates if len(starts(c)) <= FEW_STARTS}
     assert GAIN in quick and WAVES not in quick
@@ -172,7 +174,9 @@ def test_a_rival_that_does_most_by_itself_is_tried_though_the_drive_might_do_as_
     points = [TrialPoint(c, search.start, 0.9 + 0.01 * i, 0, 1.0 if c.name == GAIN else 200.0 + i)
               for i, c in enumerate(last)]  # fmt: skip
     tried: list[Job] = []
-    monkeypatch.setattr(search, "trial_points", lambda _, candidates: [p for p in points if p.candidate in candidates])
+    monkeypatch.setattr(
+        search, "trial_points", lambda _, candidates, *__: [p for p in points if p.candidate in candidates]
+    )
     monkeypatch.setattr(search, "best_of", lambda jobs, *_: tried.extend(jobs) or [])
     rival_refits(search, found(3.0, FRICTION, TICK), [])
     named = [tuple(c.name for c in fitted) for fitted, _ in tried]
@@ -192,7 +196,7 @@ def test_beside_noise_a_rival_that_promises_no_more_than_what_is_given_up_leaves
     monkeypatch.setattr(search, "exhaustive", exhaustive)
     monkeypatch.setattr(search, "best_of", lambda jobs, *_: tried.extend(jobs) or [])
     point = partial(TrialPoint, values=search.start, promised=promised, on=0, alone=promised)
-    monkeypatch.setattr(search, "trial_points", lambda _, candidates: [point(c) for c in candidates])
+    monkeypatch.setattr(search, "trial_points", lambda _, candidates, *__: [point(c) for c in candidates])
     rival_refits(search, found(left, FRICTION), [found(50.0, LOAD)])
     assert bool(tried) is fitted
 

@@ -15,6 +15,7 @@ from eps_tunnel_analysis.diagnose import named_intervals as intervals_module
 from eps_tunnel_analysis.diagnose.axes import with_refits
 from eps_tunnel_analysis.diagnose.axis import AxisDiagnosis
 from eps_tunnel_analysis.diagnose.base_values import along_valley, base_from, better_base
+from eps_tunnel_analysis.diagnose.command_response import command_response, on_commands
 from eps_tunnel_analysis.diagnose.contained import nested_refits
 from eps_tunnel_analysis.diagnose.evidence import Evidence, Residuals, play_evidence
 from eps_tunnel_analysis.diagnose.experiment import menu, was_played
@@ -24,7 +25,8 @@ from eps_tunnel_analysis.diagnose.refits import Job, Refit
 from eps_tunnel_analysis.diagnose.roll_outs import STANDS
 from eps_tunnel_analysis.diagnose.search import Search
 from eps_tunnel_analysis.diagnose.sets import begun, next_refits, refined, rival_refits, stated_jobs, tick_refits
-from eps_tunnel_analysis.diagnose.ticks import command_response, tick_points
+from eps_tunnel_analysis.diagnose.ticks import tick_points
+from eps_tunnel_analysis.diagnose.waves import PERIODS_TRIED, likely_waves
 from eps_tunnel_analysis.recorded_play import Play
 from eps_tunnel_analysis.stamped import StampedTrial, stamped_from_grid
 from labyrinth_sim.trials import Trials
@@ -407,8 +409,8 @@ def test_the_linear_response_to_a_rounded_command_is_nearly_what_a_roll_out_show
     axis = model.rig.axes[0]
     rows = np.flatnonzero(np.isin(search.signal, [search.evidence.signals.index(n) for n in axis.positions]))
     search.settle_at(base)
-    shown = np.array([0.05, 0.04, 0.025, 0.017, 0.012])  # others than are asked about
-    answer = command_response(search, base, search.library.candidates[0], axis, rows, shown)
+    shown = np.column_stack([[0.05, 0.04, 0.025, 0.017, 0.012], np.zeros(5)])  # others than are asked about
+    answer = command_response(search, base, on_commands(search, base, search.library.candidates)[0], rows, shown)
     commands = np.unique(search.evidence.commands[0][:, 0])
     for tick, cut in ((0.02, 0.0), (0.03, 0.5)):
         rounded = search.start.copy()
@@ -429,8 +431,29 @@ def test_the_tick_of_a_slow_sweep_is_the_likeliest() -> None:
     assert best.values[column] == pytest.approx(tick, rel=0.25 * tick / np.abs(SWEEP).max())
 
 
+def test_the_period_of_an_uneven_servo_is_the_likeliest_where_a_ladder_misses_it() -> None:
+    model, period = start().with_values(TRUTH), 0.0517
+    uneven = {"amplitude": 0.002, "period": period, "phase": 1.1, "seen": 0.0}
+    truth = model.with_effect("positioning_error", "x", uneven)
+    trials = [Play("sweep", made_by(truth, np.column_stack([SWEEP, 0.0 * SWEEP])))]
+    search = part_search(model, trials, ("positioning_error",))
+    base = search.refit([((), search.start)], 4)[0]
+    search.settle_at(base)
+    (wave,) = on_commands(search, base, search.library.candidates)
+    begun = likely_waves(search, base, wave)
+    likely = search.trial_points([base], [wave.candidate], {wave.candidate.name: begun})
+    ladder = search.trial_points([base], [wave.candidate])
+    columns = search.columns(wave.candidate)
+    assert likely[0].values[columns[1]] == pytest.approx(period, rel=0.25 * period / np.ptp(SWEEP))
+    assert [np.sum(begun[:, 3] == seen) for seen in (0.0, 1.0)] == [PERIODS_TRIED, PERIODS_TRIED], (
+        "of targets, and of the sensor"
+    )
+    assert likely[0].promised < 0.5 * ladder[0].promised
+    assert next_refits(search, [base])[0].values[columns] == pytest.approx([*uneven.values()], abs=0.1)
+
+
 @pytest.mark.study
-def test_a_tick_of_which_a_command_spans_many_is_found_where_other_starts_miss_it() -> None:
+def test_a_tick_of_which_a_command_spans_many_is_found_where_a_ladder_misses_it() -> None:
     levels = np.radians(np.random.default_rng(0).uniform(-10.0, 10.0, 20))
     targets = np.repeat(np.append(0.0, levels[1:]), 20)
     tick, model = np.abs(targets).max() / 97.3, start().with_values(TRUTH)
@@ -445,7 +468,9 @@ def test_a_tick_of_which_a_command_spans_many_is_found_where_other_starts_miss_i
     (found,) = tick_refits(search, [base], 1.1)
     assert found.values[column] == pytest.approx(tick, rel=0.25 / 97.3)
     assert found.cost < 0.2 * base.cost
-    assert min(r.cost for r in next_refits(search, [base])) > 5.0 * found.cost, "this test needs no ticks of its own"
+    assert next_refits(search, [base])[0].cost < 1.1 * found.cost
+    ladder = search.trial_points([base], search.library.candidates)
+    assert ladder[0].promised > 0.2 * base.cost, "this test needs no ticks of its own"
     assert not tick_refits(search, [found], 0.0), "it has a tick"
     assert not tick_refits(search, [base], 1.1 * worst_floors(base.residuals, search.signal)), "it leaves little"
 

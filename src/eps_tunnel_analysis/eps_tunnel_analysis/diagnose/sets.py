@@ -35,7 +35,8 @@ from eps_tunnel_analysis.diagnose.refits import (
 )
 from eps_tunnel_analysis.diagnose.search import FEW_STARTS, HOPELESS, SHORTLIST, Search
 from eps_tunnel_analysis.diagnose.settings import SETTINGS
-from eps_tunnel_analysis.diagnose.ticks import tick_points
+from eps_tunnel_analysis.diagnose.ticks import tick_points, tick_starts
+from eps_tunnel_analysis.diagnose.waves import wave_starts
 from labyrinth_sim.trials import Array
 
 STATED_SHORTLIST = 10  # effects fitted on top of a base as stated, and
@@ -283,7 +284,7 @@ def next_refits(
     """
     search.settle_at(on[0])
     points = [on[0], *(search.at(other.values, other) for other in on[1:])]
-    tried = search.trial_points(points, search.library.candidates)
+    tried = _trial_points(search, points, search.library.candidates)
     if not more and (not tried or tried[0].promised > on[0].cost - 0.5 * SETTINGS.material):
         return []
     found = search.best_of([*_jobs(search, points, tried, shortlist), *more], ROUNDS)
@@ -307,6 +308,12 @@ def stated_jobs(search: Search, base: Refit) -> list[Job]:
     refits = best_by_set(firm.refit(_jobs(firm, [stated], tried, STATED_SHORTLIST), ROUNDS, race=np.inf))
     search.evaluations = firm.evaluations
     return [(search.library.of(r.effects), r.values) for r in refits[:STATED_KEPT]]
+
+
+def _trial_points(search: Search, on: Sequence[Refit], candidates: Sequence[Candidate]) -> list[TrialPoint]:
+    """Every start of every candidate on top of refits, best first; of ticks and waves, the likeliest on the first."""
+    likely = tick_starts(search, on[0], candidates) | wave_starts(search, on[0], candidates)
+    return search.trial_points(on, candidates, likely)
 
 
 def _quick(candidate: Candidate) -> bool:
@@ -427,7 +434,7 @@ def rival_refits(search: Search, best: Refit, tried: Sequence[Refit]) -> list[Re
         if not candidates:
             continue
         bare = replace(search.at(values, best), effects=tuple(o.name for o in others))
-        points = search.trial_points([bare], candidates)
+        points = _trial_points(search, [bare], candidates)
         promising = [p for p in points if p.promised < min(known.get(rest | {p.candidate.name}, np.inf), most)]
         first = _jobs(search, [bare], promising, RIVALS)
         chosen = {fitted[-1].name for fitted, _ in first}
