@@ -67,7 +67,8 @@ def test_torque_goes_off_when_the_node_ends(bench: Bench, how: int) -> None:
     bench.until(lambda: bool(bench.states) and bench.reaches((0.03, 0.0)), "the goal")
     assert bench.node is not None
     bench.node.send_signal(how)
-    assert bench.ended()[0] == 0
+    code, said = bench.ended()
+    assert code == 0, said
     motors = [Motor("motor_x", 1, servo_model("MX-64"))]
     bus = ServoBus(str(bench.folder / "links" / "servos"), 1_000_000, motors, patience=1.0)
     bus.connect()

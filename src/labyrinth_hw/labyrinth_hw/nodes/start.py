@@ -55,6 +55,6 @@ def spin(node: Node, executor: Executor | None = None) -> None:
         rclpy.spin(node, executor)
     except ExternalShutdownException:
         pass
-    except rclpy_implementation.RCLError:  # the context was taken away between the executor's look at it and its use
+    except Exception:  # the context was taken away while the executor, or a callback, was using it
         if node.context.ok():
             raise
