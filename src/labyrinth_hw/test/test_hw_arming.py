@@ -151,9 +151,9 @@ def test_it_ends_while_it_waits_for_its_ports(bench: Bench, how: int) -> None:
     assert bench.ended(SOON)[0] == 0
 
 
-@pytest.mark.parametrize("ends", [True, False])
+@pytest.mark.parametrize("met", ["the wait set", "a callback", "nothing"])
 def test_a_context_taken_away_while_the_executor_gathers_what_to_wait_for_ends_the_node(
-    monkeypatch: pytest.MonkeyPatch, domain: int, ends: bool
+    monkeypatch: pytest.MonkeyPatch, domain: int, met: str
 ) -> None:
     """A signal comes at any moment; what the middleware refuses while the context stands is still an error."""
     import rclpy
@@ -168,15 +168,17 @@ def test_a_context_taken_away_while_the_executor_gathers_what_to_wait_for_ends_t
     real = rclpy_implementation.WaitSet
 
     def at_the_wait_set(*entities: object) -> object:
-        if not ends:
+        if met == "nothing":
             raise rclpy_implementation.RCLError("refused")
         context.shutdown()
+        if met == "a callback":
+            raise rclpy_implementation.InvalidHandle("destroyed")
         return real(*entities)
 
     monkeypatch.setattr("rclpy.executors._rclpy.WaitSet", at_the_wait_set)
     try:
         executor = SingleThreadedExecutor(context=context)
-        if ends:
+        if met != "nothing":
             spin(node, executor)
         else:
             with pytest.raises(rclpy_implementation.RCLError, match="refused"):
