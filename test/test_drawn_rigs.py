@@ -202,6 +202,19 @@ def test_what_is_hidden_shows_as_it_was_meant_to(tmp_path):
     assert np.array_equal(column, trials[0].readings["pendulum"])
 
 
+@pytest.mark.parametrize("strength", [0.005, 0.02, 1.0])
+def test_of_a_profile_only_the_acceleration_shows(strength):
+    """In a step from end to end, which reaches the highest speed."""
+    rig = rig_of("labyrinth", "torque_pd")
+    (form,) = (form for form in FORMS if form.effect == "motion_profile")
+    times = np.arange(0.0, 2.0, 0.01)
+    targets = np.column_stack([np.where(times > 0.2, 1.0, -1.0) * rig.reach[0], np.zeros_like(times)])
+    plan = Plan(times, targets, 1.9, RATE)
+    profile = form.apply(rig, rig.reality, 0, "x", strength, np.zeros(5))
+    apart = clean(profile, plan)["motor_x"] - clean(profile.with_axis(0, rate=1e9), plan)["motor_x"]
+    assert np.max(np.abs(apart)) < 1e-6
+
+
 def test_what_other_values_of_the_drive_make_up_for_is_not_visible(tmp_path):
     """A profile of a high acceleration is a later command and a harder drive; slopes at the true values miss that."""
     (hidden,) = cases.draw(690001, tmp_path, "pendulum", "single", "motion_profile").hidden

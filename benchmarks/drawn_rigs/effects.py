@@ -189,8 +189,11 @@ def _rate(rig: Rig, r: Reality, a: int, place: str, s: float, u: Array) -> Reali
 
 
 def _profile(rig: Rig, r: Reality, a: int, place: str, s: float, u: Array) -> Reality:
-    """The rate is beyond what the axis reaches: what shows is the acceleration, of which the strength is a share."""
-    return r.with_axis(a, rate=_speed(rig, a) * (3.0 + 3.0 * u[0]), rate_acceleration=_speed(rig, a) / s)
+    """The rate is beyond what the setpoint reaches in a step from end to end: what shows is the acceleration."""
+    acceleration = _speed(rig, a) / s
+    reached = float(np.sqrt(acceleration * 2.0 * rig.reach[a]))
+    rate = max(3.0 * _speed(rig, a), reached) * (1.1 + u[0])
+    return r.with_axis(a, rate=rate, rate_acceleration=acceleration)
 
 
 def _cut_back(rig: Rig, r: Reality, a: int, place: str, s: float, u: Array) -> Reality:
