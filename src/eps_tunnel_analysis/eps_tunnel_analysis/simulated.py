@@ -77,6 +77,7 @@ class Rollouts:
                 model, names, values[low : low + rows], self.time, self.commands, self.initial,
                 per_command=self.known, resting=self.resting, signals=signals, with_ball=self.with_ball,
                 timestep=self.time[1] if len(self.time) > 1 else None, nthread=nthread, parts=1,
+                as_run=True,
             )  # fmt: skip
             read = np.array(result.values[:, :, :: self.every])
             read[result.failed] = np.nan

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that step within a sample of a roll-out, where a drive saturates.
+"""Controls of drives that step within a sample of a roll-out, where a drive comes near its limit.
 
-A mean over a sample asks for the mean target. A drive that gives all it has before the step, after it, or both does not
-give the torque of the mean target then, but the mean of both torques. What differs acts as an additional torque.
+A mean over a sample asks for the mean control. A drive that gives all it has before the step, after it, or both does
+not give the torque of the mean control then, but the mean of both torques; `drive_limit` adds what differs.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labyrinth_sim.drive_torques import DriveTorques
+from labyrinth_sim.drive_limit import BEGINNING, END
 from labyrinth_sim.trials import Array
 
 SPREAD = 2  # samples over which a delay may spread a step of a command
-FAR = 2.0  # times what saturates a drive, beyond which a step counts so, in full from this times that on
+#: of what saturates a drive, beyond which a step counts, in full from twice this on; by when in a step it is limited
+FAR = {END: 0.25, BEGINNING: 2.0}
 EDGE = 1e-6  # of a sample: a step that is so near to its edge is at its edge
-HALF = 0.5  # share of a sample from which on its target is the later one
+NEAR = 0.5  # of what saturates a drive: a step from which on it may come near its limit
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class CommandSteps:
         sim, sample, axis: (s,) where.
         share: (s,) of the sample after the step.
         part: (s,) 0 to 1, how far the step counts.
-        before, after, mean, target: (s,) rad: of the command, its mean over the sample, and what the drive is given.
+        before, after, mean: (s,) the control before it, after it, and its mean over the sample.
     """
 
     sim: NDArray[np.intp]
@@ -39,94 +39,64 @@ class CommandSteps:
     before: Array
     after: Array
     mean: Array
-    target: Array
 
-    @property
-    def samples(self) -> list[int]:
-        """Those in which a command of any simulation steps."""
-        return [int(k) for k in np.unique(self.sample)]
-
-    def at(self, sample: int) -> "CommandSteps":
-        """Those of one sample."""
-        return self._rows(slice(*np.searchsorted(self.sample, [sample, sample + 1])))
-
-    def of(self, sim: int) -> "CommandSteps":
-        """Those of one simulation."""
-        return self._rows(self.sim == sim)
-
-    def _rows(self, which: slice | NDArray[np.bool_]) -> "CommandSteps":
-        return replace(self, **{name: values[which] for name, values in vars(self).items()})
+    def jumps(self, sim: int) -> Array:
+        """(k, 6) those of one simulation, as `labyrinth_sim.drive_limit` is told them: sample, axis, share, part, and
+        by how much the control before and its mean are beside the one after.
+        """
+        own = self.sim == sim
+        told = (self.sample, self.axis, self.share, self.part, self.before - self.after, self.mean - self.after)
+        return np.column_stack([column[own] for column in told]).astype(float)
 
 
-def command_steps(targets: Array, reaches: Sequence[Array | None]) -> tuple[Array, CommandSteps | None]:
-    """Targets (nsim, T, u) rad, means over each sample, and the steps; where one is far, its target is replaced.
+def command_steps(controls: Array, most: Array, limits: int) -> tuple[Array, CommandSteps | None]:
+    """Controls (nsim, T, u), means over each sample, and the steps; where one is far, it is what it is after it.
 
-    A step goes from where the command was some samples before to where it is as much later, because a delay spreads it
-    over two samples. Ramps go on as they came and are no steps.
+    A step goes from where the control was some samples before to where it is as much later, because a delay spreads it
+    over two samples. Ramps go on as they came and are no steps. Of a law with a D part one step of the target makes
+    two of the control, the second when its change is over.
 
     Args:
-        reaches: (nsim,) rad for each axis, error at which its drive gives its most; None where nothing limits it.
+        most: (nsim, u) control at which each drive gives its most at rest; infinite where nothing limits it.
+        limits: END or BEGINNING, when in a step drives are limited.
     """
-    found, parts = targets, []
-    for axis, reach in enumerate(reaches):
-        own = targets[:, :, axis]
-        if reach is None or own.shape[1] <= 2 * SPREAD:
+    found, parts, near = controls, [], may_saturate(controls, most)
+    for axis, reach in enumerate(most.T):
+        own = controls[:, :, axis]
+        if own.shape[1] <= 2 * SPREAD:
             continue
         before, after, middle = own[:, : -2 * SPREAD], own[:, 2 * SPREAD :], own[:, SPREAD:-SPREAD]
         change = after - before
-        least = FAR * reach[:, None]
+        least = FAR[limits] * reach[:, None]
         with np.errstate(invalid="ignore", divide="ignore"):
             if not (np.abs(change) > least).any():
                 continue  # before ramps are looked for, which takes longer
             size = (np.abs(change) - _of_a_ramp(own, np.sign(change))) / least
             share = (middle - before) / change
-            far = (size > 1.0) & (share > EDGE) & (share < 1.0 - EDGE)
+            far = near[:, axis, None] & (size > 1.0) & (share > EDGE) & (share < 1.0 - EDGE)
         sim, sample = np.nonzero(far)
-        part = np.minimum(np.log(size[far]) / np.log(FAR), 1.0)
-        nearest = np.where(share[far] >= HALF, after[far], before[far])
-        target = middle[far] + part * (nearest - middle[far])
-        found = targets.copy() if found is targets else found
-        found[sim, sample + SPREAD, axis] = target
-        parts.append((sim, sample + SPREAD, np.full(len(sim), axis), share[far], part,
-                      before[far], after[far], middle[far], target))  # fmt: skip
+        part = np.minimum(np.log2(size[far]), 1.0)
+        found = controls.copy() if found is controls else found
+        found[sim, sample + SPREAD, axis] = after[far]
+        parts.append((sim, sample + SPREAD, np.full(len(sim), axis), share[far], part, before[far], after[far],
+                      middle[far]))  # fmt: skip
     if not parts:
-        return targets, None
+        return controls, None
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = np.argsort(columns[1], kind="stable")
     return found, CommandSteps(*(column[order] for column in columns))
 
 
-class StepTorques:
-    """What is missing of the drives' mean torque over samples in which a command steps.
-
-    Args:
-        drives: what they give.
-        gains: (nsim,) control per radian of the target, for each drive.
-    """
-
-    def __init__(self, drives: DriveTorques, gains: Sequence[Array]) -> None:
-        self.drives, self._gain = drives, np.column_stack(gains)
-
-    def __call__(self, steps: CommandSteps, control: Array, angle: Array, speed: Array) -> Array:
-        """(s,) N m on the axes' degrees of freedom, in addition to what the drives give.
-
-        Args:
-            control: (s,) that is given with the steps' targets.
-            angle, speed: (s,) rad, rad/s, of the drives' joints at the samples' start.
-        """
-        i, a = steps.sim, steps.axis
-
-        def torque(target: Array) -> Array:
-            asked = control + self._gain[i, a] * (target - steps.target)
-            return self.drives(i, a, asked, angle, speed)
-
-        mean = steps.share * torque(steps.after) + (1.0 - steps.share) * torque(steps.before)
-        return steps.part * mean + (1.0 - steps.part) * torque(steps.mean) - torque(steps.target)
+def may_saturate(controls: Array, most: Array) -> NDArray[np.bool_]:
+    """(nsim, u) whether controls (nsim, T, u) step so far that drives may come near their most (nsim, u)."""
+    held = np.nan_to_num(controls)
+    moved = np.abs(held[:, SPREAD:] - held[:, :-SPREAD]).max(axis=1, initial=0.0)
+    return np.asarray(moved > NEAR * most)
 
 
-def _of_a_ramp(targets: Array, sign: Array) -> Array:
-    """(nsim, T - 2 SPREAD) how far targets (nsim, T) move that way in the 2 SPREAD samples before or after those."""
+def _of_a_ramp(controls: Array, sign: Array) -> Array:
+    """(nsim, T - 2 SPREAD) how far controls (nsim, T) move that way in the 2 SPREAD samples before or after those."""
     width = 2 * SPREAD
-    held = np.pad(targets, ((0, 0), (width, width)), mode="edge")
+    held = np.pad(controls, ((0, 0), (width, width)), mode="edge")
     moved = np.nan_to_num(held[:, width:] - held[:, :-width])
     return np.maximum(np.maximum(sign * moved[:, : -2 * width], sign * moved[:, 2 * width :]), 0.0)

@@ -45,6 +45,12 @@ class DriveTorques:
             for column, values in enumerate(columns):
                 self.laws[:, number, column] = values
 
+    @property
+    def most(self) -> Array:
+        """(nsim, u) the control at which each drive gives its most at rest; infinite where nothing limits it."""
+        gain, limit = np.abs(self.laws[..., 0]), np.minimum(self.laws[..., 5], self.laws[..., 8])
+        return np.asarray(np.divide(limit, gain, out=np.full_like(limit, np.inf), where=gain > 0.0))
+
     def __call__(
         self, sims: NDArray[np.intp], drives: NDArray[np.intp], control: Array, angle: Array, speed: Array
     ) -> Array:

@@ -300,7 +300,6 @@ class Drive:
         fields: writes the values into the compiled model.
         target: makes the filter of the target (rad), as for a delay; None for none.
         gain: (nsim,) control of the actuator for each radian of the target; None for 1.
-        reach: (nsim,) error, rad or m, at which it gives its most at rest; None where nothing limits it.
         lead: (nsim,) control for each radian by which the target has moved within 10 ms; None for 0. With these two
             alone the controls of a whole roll-out are known beforehand, and MuJoCo steps it without a stop.
         controller: makes what the law remembers, given the values and the sample time in s; None where it remembers
@@ -326,7 +325,6 @@ class Drive:
     by_duty: bool = False
     target: "Callable[[Values, Site, float, Array], Filter | None] | None" = None
     gain: "Callable[[Values], Array] | None" = None
-    reach: "Callable[[Values], Array] | None" = None
     lead: "Callable[[Values], Array] | None" = None
     controller: "Callable[[Values, float], Controller | None] | None" = None
     free: tuple[str, ...] = ()

@@ -4,7 +4,7 @@
 A drive's effort jumps where its target does, and samples lie anywhere beside these jumps, so steps of the length of a
 controller's cycle say little about them. The motion has no jumps: here it is taken between the steps, and what the
 drive gives is computed for it and for the target at that very time. What effects add to that is taken between the
-steps as well; and where they set the effort in its place, as a limit does, the effort itself.
+steps as well; and where they limit the effort, so is what they leave of it.
 """
 
 import numba
@@ -107,16 +107,17 @@ def _between(
                 more[k] = effort[i, k] - torque(law, of_steps[i, k], moved[i, k, 0], moved[i, k, 1])
         for k in range(last + 1):
             ahead = min(k + 1, last)
-            added = abs(more[ahead] - more[k]) < ADDED * abs(effort[i, ahead] - effort[i, k])
+            added = abs(more[ahead] - more[k]) <= ADDED * abs(effort[i, ahead] - effort[i, k])
             for part in range(parts):
                 control = of_parts[i, k * parts + part]
                 if not np.isnan(control):
                     share = part / parts
-                    if not added:
-                        out[i, k * parts + part] = (1.0 - share) * effort[i, k] + share * effort[i, ahead]
-                        continue
                     angle = (1.0 - share) * motion[i, k, 0] + share * motion[i, ahead, 0]
                     speed = (1.0 - share) * motion[i, k, 1] + share * motion[i, ahead, 1]
-                    beside = (1.0 - share) * more[k] + share * more[ahead]
-                    out[i, k * parts + part] = torque(law, control, angle, speed) + beside
+                    own = torque(law, control, angle, speed)
+                    if added:
+                        out[i, k * parts + part] = own + (1.0 - share) * more[k] + share * more[ahead]
+                    else:  # a limit, in either direction, of a drive that may ask for less before its target steps
+                        most = abs((1.0 - share) * effort[i, k] + share * effort[i, ahead])
+                        out[i, k * parts + part] = min(max(own, -most), most)
     return out

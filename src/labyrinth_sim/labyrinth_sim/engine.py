@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labyrinth_sim.build import Plan, local_values
-from labyrinth_sim.command_steps import CommandSteps, StepTorques, command_steps
+from labyrinth_sim.command_steps import CommandSteps, command_steps, may_saturate
 from labyrinth_sim.drive_torques import DriveTorques
 from labyrinth_sim.effect import Controller, Values
 from labyrinth_sim.filters import Delay
@@ -35,6 +35,8 @@ LIMIT = 1e6  # rad, rad/s: beyond, a simulation has diverged
 CHECK_EVERY = 50  # samples between checks for simulations that diverged
 LEAD_TIME = 0.01  # s, over which a drive's law sees by how much its target changes; the paper's sample
 AT_ONCE = 1024  # MuJoCo steps of one uninterrupted stretch; bounds the memory of what is recorded
+LIMIT_FIELDS = {"actuator_forcerange", "jnt_actfrcrange"}
+LOWERED = 0.05  # to which share of a drive's limits an effect that rewrites them may well lower them
 RECORDED = {"position": "qpos", "velocity": "qvel", "torque": "qfrc_actuator"}
 
 
@@ -48,13 +50,16 @@ class Engine:
         nsim: how many.
         step: s between samples.
         nthread: 0 for one per CPU. The result does not depend on it.
-        driven: after what the rig measures, signals have the position and the speed of each drive's joint as well, and
-            efforts leave out what commands do that step within a sample; for `efforts_between`.
+        driven: after what the rig measures, signals have the position and the speed of each drive's joint as well; for
+            `efforts_between`.
+        limits: when in a step drives ask for what limits them, END or BEGINNING, see `drive_limit`; targets are then
+            means over each sample, and may step within it. None for targets that are held, and MuJoCo's own limits.
     """
 
     def __init__(
-        self, model: Model, plan: Plan, values: Values, nsim: int, step: float, nthread: int = 0, driven: bool = False
-    ) -> None:
+        self, model: Model, plan: Plan, values: Values, nsim: int, step: float, nthread: int = 0,
+        driven: bool = False, limits: int | None = None,
+    ) -> None:  # fmt: skip
         self.plan, self.nsim, self.step = plan, nsim, step
         self.substeps = max(1, round(step / plan.mj.opt.timestep))
         self.batch = mujoco.batch.Batch(plan.mj, nsim, nthread)
@@ -76,7 +81,6 @@ class Engine:
         self.live = Live(self.batch, self.fields, tuple(sorted(touched)), sites, self._every_step)
         own = [(kind, local_values(values, prefix)) for kind, prefix, _ in plan.drives]
         self._gain = [kind.gain(v) if kind.gain else np.ones(nsim) for kind, v in own]
-        self._reach = [kind.reach(v) if kind.reach else None for kind, v in own]
         self._window = max(LEAD_TIME, step)
         self._lead = [kind.lead(v) if kind.lead else None for kind, v in own]
         self._controllers: list[Controller | None] = [
@@ -85,11 +89,17 @@ class Engine:
         integrals = [c.integral if c else none for c in self._controllers]
         self._whole = not (self._hooks or plan.with_ball or any(i is None for i in integrals))
         self._integral = np.column_stack([none if i is None else i for i in integrals])
-        between = self._every_step or bool(self._integral.any())
-        self._laws = Laws(plan, errors, steps, values, nsim) if between else None
+        self._between = self._every_step or bool(self._integral.any())
+        self._limits = limits if self._whole else None
+        self._lowered = np.ones((nsim, len(plan.drives)))
+        for p in steps:
+            if LIMIT_FIELDS & set(p.effect.touches):
+                channels = slice(None) if p.effect.couples else p.site.channel
+                self._lowered[p.steps(values), channels] = LOWERED
+        limited = self._limits is not None
+        self._laws = Laws(plan, errors, steps, values, nsim, self._limits) if self._between or limited else None
         self._off, self._any_off = np.zeros((nsim, len(plan.drives)), dtype=bool), False
         self._earlier: list[Delay] = []
-        self._driven = driven
         self._addresses = [_address(plan.mj, m) for m in model.rig.measured]
         if driven:
             self._addresses += [pair for s in sites for pair in (("position", s.qpos), ("velocity", s.dof))]
@@ -133,56 +143,52 @@ class Engine:
         if (self._every_step or self.plan.with_ball) and not (self._laws and self._whole):
             self._run(lambda ids: self.batch.forward(ids))
 
-    def roll(self, targets: Array, means: bool = False) -> Array:
+    def roll(self, targets: Array) -> Array:
         """Rolls out all targets (nsim, T, u) rad, each held for a sample; NaN switches that axis's drive off.
-
-        Args:
-            means: they are means over each sample, of commands that may change within it.
 
         Returns:
             (nsim, T, m) signals at the start of each sample, before any sensor's effects; the ball's last. Efforts are
-            those that act from then on.
+            those that act from then on, of a control that steps within the sample those of what it is nearer to.
         """
-        targets, steps = command_steps(targets, self._reach) if means else (targets, None)
-        if steps or self._driven:
-            _ = self.torques  # reads the drives' fields before any law changes them
+        _ = self.torques  # reads the drives' fields before any law changes them
         if not self._whole:
-            return self._stepped(targets, steps)
-        if self._laws is not None:
-            return self._with_laws(self._laws, targets, steps)
-        return self._uninterrupted(targets, steps)
+            return self._stepped(targets)
+        laws = [self._law(i, targets[:, :, i], earlier) for i, earlier in enumerate(self._earlier)]
+        controls, steps, near = np.stack(laws, axis=2), None, False
+        if self._laws is not None and self._limits is not None:
+            may = may_saturate(controls, self._most)
+            self._laws.near_limit(may)
+            near = bool(may.any())
+            if near:
+                controls, steps = command_steps(controls, self._most, self._limits)
+        if self._laws is not None and (self._between or near):
+            return self._with_laws(self._laws, targets, controls, steps)
+        return self._uninterrupted(controls)
 
-    def _stepped(self, targets: Array, steps: CommandSteps | None = None) -> Array:
+    def _stepped(self, targets: Array) -> Array:
         samples = targets.shape[1]
         raw = np.empty((self.nsim, samples, self._signals))
-        within = set(steps.samples) if steps else set()
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(samples):
                 raw[:, k] = self.measure()
-                self.advance(targets[:, k], raw[:, k], steps.at(k) if steps and k in within else None)
+                self.advance(targets[:, k], raw[:, k])
                 if k % CHECK_EVERY == 0 or k == samples - 1:
                     self.check(k * self.step)
         return raw
 
-    def _uninterrupted(self, targets: Array, steps: CommandSteps | None) -> Array:
+    def _uninterrupted(self, controls: Array) -> Array:
         """Controls that are known beforehand: MuJoCo steps from one change of what is switched on to the next."""
-        samples = targets.shape[1]
+        samples = controls.shape[1]
         raw = np.empty((self.nsim, samples, self._signals))
         for source, addresses, columns in self._measured:
             raw[:, 0, columns] = source[:, addresses]
-        off = np.isnan(targets)
-        control = self._controls(targets, off)
+        off = np.isnan(controls)
+        control = self._of_actuators(controls)
         most = max(1, AT_ONCE // self.substeps)
-        within = set(steps.samples) if steps else set()
-        for low, high in _stretches(_switched(off), off.shape[1], within, most):
+        for low, high in _stretches(_switched(off), off.shape[1], most):
             if (off[:, low] != self._off).any():
                 self._switch(off[:, low])
-            own = steps.at(low) if steps and low in within else None
-            more = self._push(own, control[own.sim, low, self.torques.actuator[own.axis]]) if own else None
             self._record(control[:, low:high], raw, low)
-            if more is not None:
-                self.live.applied[...] = self.fields.torque
-                self._count(more, raw[:, low])
             self.check(high * self.step)
         return raw
 
@@ -192,29 +198,14 @@ class Engine:
         return DriveTorques(self.plan, self.fields)
 
     @cached_property
-    def _step_torques(self) -> StepTorques:
-        return StepTorques(self.torques, self._gain)
+    def _most(self) -> Array:
+        """(nsim, u) the control at which each drive may give its most."""
+        return self.torques.most * self._lowered
 
-    def _push(self, steps: CommandSteps, control: Array) -> Array:
-        """(nsim, nv) what is missing of the drives' torques in a sample in which commands step; it acts from now on."""
-        sims, dofs, places = steps.sim, self.torques.dof[steps.axis], self.torques.qpos[steps.axis]
-        more = np.zeros_like(self.live.applied)
-        angle, speed = self.live.qpos[sims, places], self.live.qvel[sims, dofs]
-        more[sims, dofs] = self._step_torques(steps, control, angle, speed)
-        self.live.applied[...] = self.fields.torque + more
-        return more
-
-    def _count(self, more: Array, seen: Array) -> None:
-        """Adds torques (nsim, nv) to the efforts among signals (nsim, m), but where these are those between steps."""
-        for column, (quantity, address) in enumerate(self._addresses):
-            if quantity == "torque" and not self._driven:
-                seen[:, column] += more[:, address]
-
-    def _controls(self, targets: Array, off: NDArray[np.bool_]) -> Array:
-        """(nsim, T, nu) of all actuators, as far as the targets alone tell."""
-        control = np.zeros((self.nsim, targets.shape[1], self.plan.mj.nu))
-        for i, (_, _, site) in enumerate(self.plan.drives):
-            control[:, :, site.actuator] = np.where(off[:, :, i], 0.0, self._law(i, targets[:, :, i], self._earlier[i]))
+    def _of_actuators(self, controls: Array) -> Array:
+        """(nsim, T, nu) of all actuators, from those of the drives (nsim, T, u), NaN where these are off."""
+        control = np.zeros((*controls.shape[:2], self.plan.mj.nu))
+        control[:, :, [site.actuator for _, _, site in self.plan.drives]] = np.where(np.isnan(controls), 0.0, controls)
         return control
 
     def asked(self, drive: int, targets: Array, start: Array, step: float | None = None) -> Array:
@@ -226,19 +217,20 @@ class Engine:
             step: s between the targets, each of which is what the drive sees at its time; None for the means over this
                 engine's samples, as `roll` takes them.
         """
-        if step is None:
-            targets = command_steps(targets[:, :, None], [self._reach[drive]])[0][:, :, 0]
-        return self._law(drive, targets, self._before(start, step or self.step))
+        controls = self._law(drive, targets, self._before(start, step or self.step))
+        if step is not None or self._limits is None:
+            return controls
+        return command_steps(controls[:, :, None], self._most[:, drive : drive + 1], self._limits)[0][:, :, 0]
 
     def _before(self, target: Array, step: float) -> Delay:
         """The filter that gives a drive's target of a while ago, (nsim,) rad until now."""
         return Delay(np.full(self.nsim, self._window), step, target)
 
-    def _with_laws(self, laws: Laws, targets: Array, steps: CommandSteps | None) -> Array:
+    def _with_laws(self, laws: Laws, targets: Array, controls: Array, steps: CommandSteps | None) -> Array:
         """Simulations with laws between their steps, each by itself, in one compiled loop."""
         raw = np.zeros((self.nsim, targets.shape[1], self._signals))
         off = np.isnan(targets)
-        controls = self._controls(targets, off)
+        controls = self._of_actuators(controls)
         disabled = self._disabled(off)
         measured = np.array([(list(RECORDED).index(q), address) for q, address in self._addresses], dtype=np.int64)
         qpos, qvel, gain = self.live.qpos, self.live.qvel, np.column_stack(self._gain)
@@ -249,18 +241,15 @@ class Engine:
             runner, failed = Runner(self.plan, self.fields), []
             for i in own:
                 runner.load(i, qpos[i], qvel[i])
-                mine = steps.of(i) if steps else None
-                within = set(mine.samples) if mine else set()
-                for low, high in _stretches(edges, off.shape[1], within):
+                laws.turn(i, runner.model)
+                jumps = steps.jumps(i) if steps else np.empty((0, 2))
+                for low, high in _stretches(edges, off.shape[1]):
                     runner.switch(int(disabled[i, low]))
-                    here = mine.at(low) if mine and low in within else None
-                    more = runner.push(here, controls[i, low], self._integral[i], self._step_torques) if here else None
+                    here = jumps[slice(*np.searchsorted(jumps[:, 0], [low, high]))]
+                    here[:, 0] -= low
                     at = runner.roll(laws, i, controls[i, low:high], targets[i, low:high], gain[i],
                                      self._ticks[i], self._integral[i], self.substeps, self.step,
-                                     measured, LIMIT, raw[i, low:high])  # fmt: skip
-                    if more is not None:
-                        self._count(more[None], raw[i : i + 1, low])
-                        runner.push_no_more()
+                                     measured, LIMIT, here, raw[i, low:high])  # fmt: skip
                     if at >= 0:
                         failed.append((i, low + at))
                         break
@@ -312,12 +301,11 @@ class Engine:
         change = np.nan_to_num(targets - earlier(targets, targets))
         return control + (LEAD_TIME / self._window) * lead[:, None] * change
 
-    def advance(self, target: Array, seen: Array | None = None, steps: CommandSteps | None = None) -> None:
+    def advance(self, target: Array, seen: Array | None = None) -> None:
         """One sample with these targets (nsim, u) rad held; NaN switches that axis's drive off.
 
         Args:
             seen: (nsim, m) signals; their efforts become those that acted at first.
-            steps: of commands within this sample.
         """
         off = np.isnan(target)
         if (off != self._off).any():
@@ -333,23 +321,14 @@ class Engine:
                     controller.restart(off[:, i])
             base.append(control)
             self._control(i, control, off[:, i])
-        more = None
-        if steps:
-            more = self._push(steps, np.array([base[a][i] for i, a in zip(steps.sim, steps.axis, strict=True)]))
         if not self._every_step:
             self._first(seen, partial(self.batch.step, nstep=1, stage=self._stage if self.substeps == 1 else 0))
             if self.substeps > 1:
                 self._run(partial(self.batch.step, nstep=self.substeps - 1, stage=self._stage))
         for k in range(self.substeps if self._every_step else 0):
             self._before_step(target, base, off)
-            if more is not None:
-                self.live.applied += more
             stage = self._stage if k == self.substeps - 1 else 0
             self._first(seen if k == 0 else None, partial(self.batch.step, nstep=1, stage=stage))
-        if more is not None:
-            self.live.applied[...] = self.fields.torque
-            if seen is not None:
-                self._count(more, seen)
 
     def _first(self, seen: Array | None, call: Callable[[NDArray[np.int32] | None], None]) -> None:
         self._run(call)
@@ -454,12 +433,9 @@ def _switched(off: NDArray[np.bool_]) -> set[int]:
     return {int(k) + 1 for k in np.flatnonzero((off[:, 1:] != off[:, :-1]).any(axis=(0, 2)))}
 
 
-def _stretches(
-    edges: Collection[int], samples: int, within: Collection[int] = (), most: int | None = None
-) -> list[tuple[int, int]]:
-    """Samples [low, high), `most` at once, up to the next of the edges; each of `within` is a stretch of its own."""
-    cuts = sorted({0, samples, *edges, *within, *(k + 1 for k in within)})
-    parts = itertools.pairwise(cuts)
+def _stretches(edges: Collection[int], samples: int, most: int | None = None) -> list[tuple[int, int]]:
+    """Samples [low, high), `most` at once, up to the next of the edges."""
+    parts = itertools.pairwise(sorted({0, samples, *edges}))
     return [(low, min(low + (most or last), last)) for first, last in parts for low in range(first, last, most or last)]
 
 

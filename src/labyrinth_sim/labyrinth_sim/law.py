@@ -265,6 +265,8 @@ def roll(
     every: float,
     measured: Addresses,
     limit: float,
+    jumps: Any,
+    limited: Any,
     out: Any,
 ) -> int:
     """Steps one simulation through all samples.
@@ -286,6 +288,8 @@ def roll(
         every: s of a sample.
         measured: (m, 2) which of positions, speeds, torques (0, 1, 2), and its index.
         limit: rad/s; beyond, it has diverged.
+        jumps: (s, 2 + c) samples in which a control steps, in order, its axis, and what its drive's law is told then.
+        limited: (u, MOST_VALUES) values of the drives' laws, of which those are from 1 on; as many as there are.
         out: (T, m), written.
 
     Returns:
@@ -295,7 +299,7 @@ def roll(
     qpos, qvel = numba.carray(_doubles(at[0]), (at[5],)), numba.carray(_doubles(at[1]), (nv,))
     torque, ctrl = numba.carray(_doubles(at[2]), (nv,)), numba.carray(_doubles(at[3]), (control.shape[1],))
     error = numba.carray(_doubles(at[4]), (drives.shape[0],))
-    added, kept = np.zeros(drives.shape[0]), integral.any()
+    added, kept, jump, told = np.zeros(drives.shape[0]), integral.any(), 0, False
     bent = first_force > 0 or ticks.any() or kept
     for k in range(samples):
         for c in range(measured.shape[0]):
@@ -304,6 +308,11 @@ def roll(
             elif measured[c, 0] == 1:
                 out[k, c] = qvel[measured[c, 1]]
         added[:] = 0.0
+        if told:
+            limited[:, 1 : jumps.shape[1] - 1], told = 0.0, False
+        while jump < jumps.shape[0] and jumps[jump, 0] == k:
+            limited[int(jumps[jump, 1]), 1 : jumps.shape[1] - 1] = jumps[jump, 2:]
+            jump, told = jump + 1, True
         for sub in range(substeps):
             for r in range(restore.shape[0]):
                 source, into = _doubles(restore[r, 0]), _doubles(restore[r, 1])

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labyrinth_sim.build import Placed, Plan
-from labyrinth_sim.command_steps import CommandSteps, StepTorques
+from labyrinth_sim.drive_limit import END, PER_TORQUE, limit
 from labyrinth_sim.effect import Values
 from labyrinth_sim.law import (
     DATA,
     MEMORY,
     MODEL,
-    MOST_SUM,
     MOST_VALUES,
     PLACE,
     TABLES,
@@ -41,20 +40,31 @@ class Laws:
         errors: effects with an error that act.
         steps: those whose step has something to do; those of whole batches are left out.
         values: full parameter name -> (nsim,).
+        limits: also what drives give near their limits, in simulations that `near_limit` names; see `drive_limit`.
 
     Attributes:
         error: (nsim, u) rad, what drives see.
     """
 
     def __init__(
-        self, plan: Plan, errors: Sequence[Placed], steps: Sequence[Placed], values: Values, nsim: int
+        self,
+        plan: Plan,
+        errors: Sequence[Placed],
+        steps: Sequence[Placed],
+        values: Values,
+        nsim: int,
+        limits: int | None,
     ) -> None:
         placed = [(p, p.effect.error, p.steps(values)) for p in errors]
         self._first = len(placed)
         placed += [(p, p.effect.step, p.steps(values)) for p in steps if isinstance(p.effect.step, Law)]
-        self.codes = np.array([law.address for _, law, _ in placed if isinstance(law, Law)], dtype=np.int64)
-        self.acts = np.array([acts for _, _, acts in placed], dtype=bool).reshape(len(placed), nsim)
-        self.values = np.zeros((nsim, len(placed), MOST_VALUES))
+        self._limited = [] if limits is None else [site for _, _, site in plan.drives]
+        self._end = limits == END
+        laws = [law for _, law, _ in placed if isinstance(law, Law)] + [limit] * len(self._limited)
+        self.codes = np.array([law.address for law in laws], dtype=np.int64)
+        never = [np.zeros(nsim, dtype=bool)] * len(self._limited)
+        self.acts = np.array([*(acts for _, _, acts in placed), *never], dtype=bool).reshape(len(laws), nsim)
+        self.values = np.zeros((nsim, len(laws), MOST_VALUES))
         self._tables: list[Addresses] = []  # kept as long as laws may read them
         for k, (p, _, _) in enumerate(placed):
             own = [values[p.prefix + parameter.name] for parameter in p.effect.parameters]
@@ -62,8 +72,8 @@ class Laws:
             if p.effect.tables:
                 self._tables.append(p.effect.tables.addresses())
                 self.values[:, k, TABLES] = self._tables[-1].ctypes.data
-        self.memory = np.zeros((nsim, len(placed), MEMORY))
-        sites = [p.site for p, _, _ in placed]
+        self.memory = np.zeros((nsim, len(laws), MEMORY))
+        sites = [*(p.site for p, _, _ in placed), *self._limited]
         self.places = np.array([[getattr(s, name) for name in PLACE] for s in sites], dtype=np.int64).reshape(
             len(sites), len(PLACE)
         )
@@ -77,6 +87,20 @@ class Laws:
         self.step = np.zeros(1)
         self.error = np.zeros((nsim, len(plan.drives)))
         self._outside: tuple[Addresses, Addresses] | None = None  # tables and arguments for `apply_*`
+
+    @property
+    def limits(self) -> slice:
+        """Which laws are those of the drives' limits, in the order of the drives."""
+        return slice(len(self.codes) - len(self._limited), len(self.codes))
+
+    def near_limit(self, which: NDArray[np.bool_]) -> None:
+        """Says which drives of which simulations (nsim, u) may come near their limits."""
+        self.acts[self.limits] = which.T
+
+    def turn(self, simulation: int, model: mujoco.MjModel) -> None:
+        """Tells the laws of a simulation's limits what a torque does where the model's joints are at 0."""
+        own = [model.dof_invweight0[site.dof] if self._end else 0.0 for site in self._limited]
+        self.values[simulation, self.limits, PER_TORQUE] = own
 
     def of(self, simulation: int) -> tuple[NDArray[np.intp], int]:
         """Which laws act on a simulation, and how many of those change errors."""
@@ -147,32 +171,12 @@ class Runner:
         self.data.qfrc_applied[:] = self._fields.torque[simulation]
         mujoco.mj_forward(self.model, self.data)
         self._sums = np.zeros(len(self._drives))
-        self._constant = np.array(self._fields.torque[simulation])
-        self._torque = self._constant.copy()
+        self._torque = np.array(self._fields.torque[simulation])
         self._base = {name: np.array(getattr(self.model, name)) for name in MODEL}
 
     def switch(self, off: int) -> None:
         """Switches the actuator groups of these bits off, all others on."""
         self.model.opt.disableactuator = off
-
-    def push(self, steps: CommandSteps, control: Array, integral: Array, torques: StepTorques) -> Array:
-        """(nv,) what is missing of the drives' torques in a sample in which commands step; it acts from now on.
-
-        Args:
-            control: (nu,) given in this sample, to which comes what `integral` (u,) makes of the errors so far.
-        """
-        axes = steps.axis
-        drives = torques.drives
-        asked = control[drives.actuator[axes]] + np.clip(integral * self._sums, -MOST_SUM, MOST_SUM)[axes]
-        more = np.zeros(self.model.nv)
-        angle, speed = self.data.qpos[drives.qpos[axes]], self.data.qvel[drives.dof[axes]]
-        more[drives.dof[axes]] = torques(steps, asked, angle, speed)
-        self._torque += more
-        return more
-
-    def push_no_more(self) -> None:
-        """Takes back what `push` added."""
-        self._torque[...] = self._constant
 
     def roll(
         self,
@@ -187,6 +191,7 @@ class Runner:
         every: float,
         measured: Addresses,
         limit: float,
+        jumps: Array,
         out: Array,
     ) -> int:
         """The sample at which the simulation diverged, or -1; see `labyrinth_sim.law.roll`."""
@@ -205,5 +210,5 @@ class Runner:
             laws.arguments(simulation, table)[which], restore, at, laws.drives, np.ascontiguousarray(control),
             np.ascontiguousarray(targets), np.ascontiguousarray(gain),
             np.ascontiguousarray(ticks), np.ascontiguousarray(integral), self._sums, substeps, every,
-            measured, limit, out,
+            measured, limit, jumps, laws.values[simulation, laws.limits], out,
         ))  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labyrinth_sim.build import Placed, Plan, compiled, local_values
+from labyrinth_sim.drive_limit import BEGINNING, END
 from labyrinth_sim.effect import Filter, Values
 from labyrinth_sim.efforts import between, efforts_between, means_of, missed
 from labyrinth_sim.engine import Engine
@@ -123,6 +124,7 @@ def simulate_batch(
     progress: Callable[[int], None] | None = None,
     extrapolate: bool = False,
     parts: int | None = None,
+    as_run: bool = False,
 ) -> BatchResult:
     """Rolls out n parameter sets times c commands; the same answer bit for bit at any `nthread`.
 
@@ -145,6 +147,8 @@ def simulate_batch(
             MuJoCo's steps get wrong is of first order.
         parts: of each sample, over which the commands are means; they may change within it. One, or even. If more than
             one, steps half as far take their own, and efforts are computed for each part, but not with a ball.
+        as_run: with parts: drives are limited by what they ask for as a step begins, as where a model runs step by
+            step, and not by what they ask for as it ends.
 
     Raises:
         InputError: everything that is wrong with the arguments.
@@ -196,10 +200,11 @@ def simulate_batch(
         targets = through(filters, block[owner])
         engines, told, rolled = [], [], []
         for each, (every_step, of_each) in zip(here, apart, strict=True):
-            engine = Engine(model, each, own, len(alone), every_step, nthread, bool(efforts))
+            limits = None if parts is None else BEGINNING if as_run else END
+            engine = Engine(model, each, own, len(alone), every_step, nthread, bool(efforts), limits)
             engine.start(qpos, qvel, reached)
             told.append(means_of(targets, of_each))
-            rolled.append(engine.roll(told[-1], parts is not None))
+            rolled.append(engine.roll(told[-1]))
             steps += len(alone) * round(engine.substeps * step / engine.step) * (len(grid) - 1)
             engines.append(engine)
         raw = rolled[-1][:, :: round(step / apart[-1][0]), : len(every)].copy()

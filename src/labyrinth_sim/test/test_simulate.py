@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from labyrinth_sim.build import compiled
-from labyrinth_sim.command_steps import command_steps
 from labyrinth_sim.effect import effects
 from labyrinth_sim.engine import Engine
 from labyrinth_sim.errors import InputError
@@ -80,11 +79,6 @@ def test_mujoco_without_a_stop_gives_what_single_steps_give(name: str) -> None:
     assert not np.array_equal(through[0], through[1])
     more = targets[:, ::-1]  # and the next roll-out goes on from where both stand
     assert np.array_equal(rolled.roll(more), stepped._stepped(more))
-    turns = np.where(np.arange(len(TIME))[None, :, None] // 7 % 2 == 0, 0.9, -0.8) * np.ones_like(targets)
-    turns[:, 7::7] *= 0.3  # within the sample
-    targets, steps = command_steps(turns, stepped._reach)
-    assert steps is not None
-    assert np.array_equal(rolled.roll(turns, means=True), stepped._stepped(targets, steps))
 
 
 def test_what_only_a_sensor_shows_is_not_stepped_again(model: Model, commands: np.ndarray) -> None:

@@ -242,7 +242,8 @@ def search_of(lib: Library, plays: Sequence[Play], part: AxisPart, run: SearchOp
     levels["fine"] = rolled(smooth, step=STEPS["fine" if ball else "coarse"], extrapolate=not ball)
     levels["exact"] = rolled(lib.model, step=STEPS["exact"]) if ball or ticks else levels["fine"]
     if not ball:
-        levels["own"] = rolled(lib.model, step=float(compiled(lib.model, with_ball=False).mj.opt.timestep))
+        own = float(compiled(lib.model, with_ball=False).mj.opt.timestep)
+        levels["own"] = rolled(lib.model, step=own, as_run=True)
     evidence = levels["coarse"]
     torques = {m.signal: axis for axis in lib.model.rig.axes for m in axis.measured if m.quantity == "torque"}
     scale, used = evidence.floor.copy(), evidence.time >= BEGUN

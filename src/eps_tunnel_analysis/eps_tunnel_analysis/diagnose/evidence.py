@@ -89,6 +89,7 @@ class Evidence:
         nthread: 0 for one per CPU; the answer does not depend on it.
         spread: runs roll-outs elsewhere; None for this machine. The answer does not depend on it either.
         extrapolate: to steps of zero length, from roll-outs at `step` and at half of it.
+        as_run: drives are limited as where the model runs step by step.
 
     Attributes:
         mean: (R,) what was measured, play by play, signal by signal, bin by bin.
@@ -107,9 +108,10 @@ class Evidence:
         nthread: int = 0,
         spread: Spread | None = None,
         extrapolate: bool = False,
+        as_run: bool = False,
     ) -> None:
         self.model, self.free, self.plays, self.signals = model, tuple(free), tuple(plays), tuple(signals)
-        self.nthread, self.spread, self.extrapolate = nthread, spread, extrapolate
+        self.nthread, self.spread, self.extrapolate, self.as_run = nthread, spread, extrapolate, as_run
         self.missed: Array | float = 0.0
         self.known = known_values(model, [p.play for p in plays])
         self._steps = [_even(p.width, step) for p in plays]
@@ -123,7 +125,7 @@ class Evidence:
     def finer(self) -> "Evidence":
         """The same with steps half as long."""
         step = min(self._steps) / 2.0
-        many = (self.nthread, self.spread, self.extrapolate)
+        many = (self.nthread, self.spread, self.extrapolate, self.as_run)
         other = Evidence(self.model, self.free, self.plays, self.signals, step, *many)
         other.initial, other.missed = self.initial, self.missed
         return other
@@ -263,7 +265,7 @@ class Evidence:
                 self.initial[number],
                 per_command={name: given[[number]] for name, given in self.known.items()},
                 resting=self.resting[number], signals=self.signals, timestep=self.step(number), nthread=self.nthread,
-                extrapolate=self.extrapolate, parts=self.parts(number),
+                extrapolate=self.extrapolate, parts=self.parts(number), as_run=self.as_run,
             )  # fmt: skip
             for column, bins in enumerate(self._readings[number]):
                 name = self.signals[column]

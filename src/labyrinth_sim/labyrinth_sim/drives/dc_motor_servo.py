@@ -7,8 +7,6 @@ limit does not touch, and the limit on the current that of the joint's actuator 
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from labyrinth_sim.effect import Drive, Parameter, Values
 from labyrinth_sim.live import Fields
 from labyrinth_sim.servo import (
@@ -21,7 +19,6 @@ from labyrinth_sim.servo import (
     target,
 )
 from labyrinth_sim.site import Site
-from labyrinth_sim.trials import Array
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
@@ -34,11 +31,6 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     set_back_emf(fields, site, per_ampere * values["gear"] * values["torque_constant"] / values["resistance"])
     set_current(fields, site, per_ampere * values["current_limit"])
     fields["dof_armature"][:, site.dof] += values["gear"] ** 2 * values["rotor_inertia"]
-
-
-def reach(values: Values) -> Array:
-    limited = values["current_limit"] * values["resistance"] / values["voltage"]
-    return np.minimum(1.0, limited) / values["kp"]
 
 
 def full(values: Mapping[str, float]) -> float:
@@ -76,7 +68,6 @@ DRIVE = Drive(
     target=target,
     by_duty=True,
     full=full,
-    reach=reach,
     free=("kp", "resistance", "torque_constant", "joint.armature", "delay"),
     loose=("kp", "resistance", "torque_constant", "joint.armature"),
 )

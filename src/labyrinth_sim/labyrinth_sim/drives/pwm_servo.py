@@ -13,7 +13,6 @@ from labyrinth_sim.effect import Drive, Parameter, Values
 from labyrinth_sim.live import Fields
 from labyrinth_sim.servo import FEEDBACK_TICK, GOAL_TICK, add_back_emf, limit_torque, set_back_emf, set_torque, target
 from labyrinth_sim.site import Site
-from labyrinth_sim.trials import Array
 
 
 def spec(spec: mujoco.MjSpec, site: Site) -> None:
@@ -31,10 +30,6 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     fields["actuator_biasprm"][:, site.actuator, 2] = stiffness * values["feedback_delay"]
     set_torque(fields, site, stall)
     set_back_emf(fields, site, values["torque_constant"] ** 2 / values["resistance"])
-
-
-def reach(values: Values) -> Array:
-    return 1.0 / (values["kp"] * values["duty_gain"])
 
 
 def full(values: Mapping[str, float]) -> float:
@@ -78,7 +73,6 @@ DRIVE = Drive(
     target=target,
     by_duty=True,
     full=full,
-    reach=reach,
     free=("resistance", "torque_constant", "joint.armature", "delay"),
     identified_by_effort=("duty_gain",),
     uncertain=("feedback_delay",),

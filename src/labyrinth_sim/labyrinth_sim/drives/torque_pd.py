@@ -16,7 +16,6 @@ from labyrinth_sim.servo import (
     target,
 )
 from labyrinth_sim.site import Site
-from labyrinth_sim.trials import Array
 
 
 def fields(fields: Fields, site: Site, values: Values) -> None:
@@ -27,10 +26,6 @@ def fields(fields: Fields, site: Site, values: Values) -> None:
     set_torque(fields, site, values["torque"])
     set_current(fields, site, values["torque"])
     set_back_emf(fields, site, slope)
-
-
-def reach(values: Values) -> Array:
-    return values["torque"] / values["stiffness"]
 
 
 def full(values: Mapping[str, float]) -> float:
@@ -56,7 +51,6 @@ DRIVE = Drive(
     fields=fields,
     target=target,
     full=full,
-    reach=reach,
     free=("stiffness", "damping", "delay"),
     uncertain=("back_emf", "torque", "joint.armature"),
     loose=("stiffness", "damping"),

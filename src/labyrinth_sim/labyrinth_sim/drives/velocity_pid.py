@@ -55,10 +55,6 @@ def gain(values: Values) -> Array:
     return values["p"]
 
 
-def reach(values: Values) -> Array:
-    return values["torque"] / np.maximum(values["speed_gain"] * np.abs(values["p"]), 1e-9)
-
-
 def lead(values: Values) -> Array:
     """D (e_n - e_{n-1}), of samples 10 ms apart: of the target its change within them, of the angle 10 ms times its
     speed, which MuJoCo takes off implicitly.
@@ -114,7 +110,6 @@ DRIVE = Drive(
     fields=fields,
     target=target,
     gain=gain,
-    reach=reach,
     lead=lead,
     controller=integral,
     full=full,
