@@ -109,6 +109,14 @@ def test_candidates_of_a_sliding_axis_start_within_the_bounds_of_its_size(tmp_pa
             assert (values >= infos[name].low).all() and (values <= infos[name].high).all(), name
 
 
+def test_the_phase_of_a_wave_is_any_angle_on_a_sliding_axis_too(tmp_path: Path) -> None:
+    """Its likeliest one is found as an angle."""
+    infos = library(load_model(write_rig(tmp_path, slides=True)), [], only=["positioning_error"]).model.parameters()
+    phase, period = (infos[f"positioning_error.a.{name}"] for name in ("phase", "period"))
+    assert (phase.unit, period.unit) == ("rad", "m")
+    assert phase.low < -np.pi and phase.high > np.pi
+
+
 def test_ticks_that_readings_contradict_are_no_candidate() -> None:
     model, (recorded,) = load_model("labyrinth_manual"), plays((5.0,))
     part = next(p for p in axis_parts(model, [recorded]) if p.name == "x")

@@ -97,7 +97,7 @@ class Parameter:
     Attributes:
         off: None where no value of this parameter alone makes the effect vanish (a period, a characteristic speed).
         fixed: "bounds" for those that are the same on any axis, whatever its unit; "unit" for what belongs to the motor
-            and not to the axis, and so keeps its unit as well.
+            and not to the axis, or is an angle on any axis as a wave's phase is, and so keeps its unit as well.
         fitted: False for what is stated with an effect and never fitted, as the range that a table covers.
         settled: kept as stated where the effect belongs to the model, and searched only where it may be missing.
         span: a large change of the value, where the bounds lie much further apart than that: a search takes its steps

@@ -33,7 +33,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("amplitude", "rad", 0.0, 0.05, 0.0, 0.01, "0 to ten ticks of a worn potentiometer"),
         Parameter("period", "rad", 0.03, 3.2, None, 0.15, "from a few ticks to half a turn"),
-        Parameter("phase", "rad", -3.2, 3.2, None, 0.0, "a full period"),
+        Parameter("phase", "rad", -3.2, 3.2, None, 0.0, "a full period", fixed="unit"),
         Parameter("seen", "1", 0.0, 1.0, None, 0.0, "0 where targets are uneven, 1 where the sensor is", settled=True),
     ),
     stage="command",
