@@ -51,6 +51,8 @@ RUNS = {  # file in benchmarks/records: what was new
     "diagnosis_efforts": "before efforts of smooth motion; five were looked at again with these, the same",
     "diagnosis_trials": "efforts of smooth motion count; from 871048 on a single trial's further effects, too",
     "diagnosis_jumps": "efforts under held commands are not extrapolated; before sets were tried far along valleys",
+    "diagnosis_likely": "ticks and waves of commands begin at the likeliest",
+    "diagnosis_limited": "drives near their limits are limited at the end of a step",
 }
 SHARED = "diagnosis_fresh"  # the first run with a share for imitators, from which on probabilities mean the same
 COLUMNS = {
