@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a servo gives near its limit, over a step of a roll-out.
 
-Steps that are extrapolated to none need what they get wrong to be the same whenever something comes within one. MuJoCo
-limits what a servo asks for as a step begins; where that is within the limit, it takes the servo's damping at
-the speed with which the step ends. Near the limit the one gives all of it and the other much less, so that what a step
-gives jumps with the time at which it begins. And a control that steps within a step of MuJoCo's asks for its mean, of
-which the servo gives all it has even where most of the step is over before. Here it is limited by what it asks for at
-the end of the step, before the control's step and after it; what MuJoCo gives too much is taken back as an additional
-torque. Without either this torque is 0, to the last bit.
+MuJoCo limits what a servo asks for as a step begins. Within the limit it takes the servo's damping at the speed with
+which the step ends, which gives much less; so near the limit the torque of a step jumps with the time at which the step
+begins. A control that steps within a step of MuJoCo's asks for its mean, and a servo gives all it has for that even if
+most of the step was over before. Neither error shrinks smoothly with the steps, so neither can be extrapolated.
 
-What is to behave as a model that runs step by step, whose commands are not held for whole steps, is limited as MuJoCo
-does it, and only before and after a control's step.
+Here a servo is limited by what it asks for at the end of a step, and before and after a control's step, each for its
+share. What differs from what MuJoCo gives acts as an additional torque, which is exactly 0 away from the limit.
+
+Roll-outs that stand for a model as it runs step by step keep MuJoCo's own limit, at the beginning of a step; there only
+a control's step is split.
 """
 
 from labyrinth_sim.law import law, state
@@ -20,7 +20,7 @@ PER_TORQUE, SHARE, PART, BEFORE, MEAN = range(5)  # what `limit` finds in `value
 SPEED, GAVE, LIMITED, LOW, HIGH, BEGUN = range(6)  # and keeps in `memory`, of the last step
 
 BEGINNING, END = 0, 1  # of a step: when a drive asks for what limits it
-LEAST = 0.1  # of a torque that is left of what is asked for, or as much more of a drive that pushes its joint on
+LEAST = 0.1  # of the divisor by damping, where the law of a drive pushes its moving joint on
 
 
 @law

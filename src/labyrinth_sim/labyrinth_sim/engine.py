@@ -148,7 +148,7 @@ class Engine:
 
         Returns:
             (nsim, T, m) signals at the start of each sample, before any sensor's effects; the ball's last. Efforts are
-            those that act from then on, of a control that steps within the sample those of what it is nearer to.
+            those that act from then on, of a control that steps within the sample those that act after it.
         """
         _ = self.torques  # reads the drives' fields before any law changes them
         if not self._whole:
@@ -245,7 +245,7 @@ class Engine:
                 jumps = steps.jumps(i) if steps else np.empty((0, 2))
                 for low, high in _stretches(edges, off.shape[1]):
                     runner.switch(int(disabled[i, low]))
-                    here = jumps[slice(*np.searchsorted(jumps[:, 0], [low, high]))]
+                    here = jumps[slice(*np.searchsorted(jumps[:, 0], [low, high]))].copy()
                     here[:, 0] -= low
                     at = runner.roll(laws, i, controls[i, low:high], targets[i, low:high], gain[i],
                                      self._ticks[i], self._integral[i], self.substeps, self.step,

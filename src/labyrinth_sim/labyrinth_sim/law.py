@@ -299,7 +299,7 @@ def roll(
     qpos, qvel = numba.carray(_doubles(at[0]), (at[5],)), numba.carray(_doubles(at[1]), (nv,))
     torque, ctrl = numba.carray(_doubles(at[2]), (nv,)), numba.carray(_doubles(at[3]), (control.shape[1],))
     error = numba.carray(_doubles(at[4]), (drives.shape[0],))
-    added, kept, jump, told = np.zeros(drives.shape[0]), integral.any(), 0, False
+    added, kept, jump, told = np.zeros(drives.shape[0]), integral.any(), 0, True
     bent = first_force > 0 or ticks.any() or kept
     for k in range(samples):
         for c in range(measured.shape[0]):

@@ -85,6 +85,22 @@ def test_a_drive_that_is_off_is_not_limited(model: Model) -> None:
     assert not np.array_equal(rolled(END), rolled(None))
 
 
+def test_stretches_of_what_is_switched_on_change_nothing(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    weak = model.with_values({"drive.y.torque": 0.14})
+    plan, targets = compiled(weak, False), np.zeros((1, 160, 2))
+    for k, target in ((30, 0.05), (70, -0.05), (110, 0.02)):
+        targets[0, k, 1], targets[0, k + 1 :, 1] = 0.4 * target, target  # within a sample
+
+    def rolled() -> np.ndarray:
+        engine = Engine(weak, plan, numbers_of(weak, 1), 1, STEP, nthread=1, limits=END)
+        engine.start(np.zeros((1, plan.mj.nq)), np.zeros((1, plan.mj.nv)), np.zeros((1, 2)))
+        return engine.roll(targets)
+
+    whole = rolled()
+    monkeypatch.setattr("labyrinth_sim.engine._switched", lambda off: {20, 31, 50, 71, 90, 111})
+    assert np.array_equal(rolled(), whole)
+
+
 def test_a_control_steps_where_it_changes_at_once_and_not_where_it_goes_on() -> None:
     controls = np.zeros((2, 30, 1))
     controls[0, 10:] = 1.0
