@@ -49,7 +49,9 @@ class CommandSteps:
         return np.column_stack([column[own] for column in told]).astype(float)
 
 
-def command_steps(controls: Array, most: Array, limits: int) -> tuple[Array, CommandSteps | None]:
+def command_steps(
+    controls: Array, most: Array, limits: int, near: NDArray[np.bool_] | None = None
+) -> tuple[Array, CommandSteps | None]:
     """Controls (nsim, T, u), means over each sample, and the steps; where one is far, it is what it is after it.
 
     A step goes from where the control was some samples before to where it is as much later, because a delay spreads it
@@ -59,8 +61,10 @@ def command_steps(controls: Array, most: Array, limits: int) -> tuple[Array, Com
     Args:
         most: (nsim, u) control at which each drive gives its most at rest; infinite where nothing limits it.
         limits: END or BEGINNING, when in a step drives are limited.
+        near: (nsim, u) what `may_saturate` says of them, if that is known.
     """
-    found, parts, near = controls, [], may_saturate(controls, most)
+    near = may_saturate(controls, most) if near is None else near
+    found, parts = controls, []
     for axis, reach in enumerate(most.T):
         own = controls[:, :, axis]
         if own.shape[1] <= 2 * SPREAD:

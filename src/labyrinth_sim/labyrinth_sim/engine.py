@@ -160,7 +160,7 @@ class Engine:
             self._laws.near_limit(may)
             near = bool(may.any())
             if near:
-                controls, steps = command_steps(controls, self._most, self._limits)
+                controls, steps = command_steps(controls, self._most, self._limits, may)
         if self._laws is not None and (self._between or near):
             return self._with_laws(self._laws, targets, controls, steps)
         return self._uninterrupted(controls)

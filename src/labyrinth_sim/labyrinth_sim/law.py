@@ -300,6 +300,7 @@ def roll(
     torque, ctrl = numba.carray(_doubles(at[2]), (nv,)), numba.carray(_doubles(at[3]), (control.shape[1],))
     error = numba.carray(_doubles(at[4]), (drives.shape[0],))
     added, kept, jump, told = np.zeros(drives.shape[0]), integral.any(), 0, True
+    end = jumps.shape[1] - 1  # of what a law is told
     bent = first_force > 0 or ticks.any() or kept
     for k in range(samples):
         for c in range(measured.shape[0]):
@@ -309,9 +310,9 @@ def roll(
                 out[k, c] = qvel[measured[c, 1]]
         added[:] = 0.0
         if told:
-            limited[:, 1 : jumps.shape[1] - 1], told = 0.0, False
+            limited[:, 1:end], told = 0.0, False
         while jump < jumps.shape[0] and jumps[jump, 0] == k:
-            limited[int(jumps[jump, 1]), 1 : jumps.shape[1] - 1] = jumps[jump, 2:]
+            limited[int(jumps[jump, 1]), 1:end] = jumps[jump, 2:]
             jump, told = jump + 1, True
         for sub in range(substeps):
             for r in range(restore.shape[0]):
